@@ -21,6 +21,18 @@ def format_as_line(message) -> str:
     return line
 
 
+def shorten_error(error, limit: int) -> str:
+    """The message of another package's exception in one line, without what exceeds the limit.
+
+    Parameters
+    ----------
+    error : Exception or str
+    limit : int
+        Maximum number of characters.
+    """
+    return " ".join(str(error).split())[:limit]
+
+
 class UserError(Exception):
     """A mistake of the user's, or bad input: one clear line, exit status 2.
 

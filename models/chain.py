@@ -141,7 +141,7 @@ def make_links(architecture: Architecture, weights: dict | None = None) -> tuple
     Returns
     -------
     tuple of Link
-        One for each convolution and dense layer, with the averaging before it.
+        One for each operation, with the averaging before it.
 
     Raises
     ------

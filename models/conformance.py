@@ -4,7 +4,11 @@ import math
 
 import numpy as np
 
-from deploy.conformance.operations import N_SAMPLES, assert_deployed_operation_conforms
+from deploy.conformance.operations import (
+    N_SAMPLES,
+    assert_deployed_operation_conforms,
+    assert_same_operation,
+)
 from models.architecture import Architecture, parse
 from models.ops import OPERATIONS, Dense, Operation
 
@@ -26,18 +30,33 @@ def assert_operation_conforms(operation: Operation, input_shape):
     ------
     AssertionError
     """
+    assert operation.kind in OPERATIONS, (
+        f"the operation {operation.kind!r} is not entered in OPERATIONS"
+    )
     assert_deployed_operation_conforms(operation, input_shape)
+    _assert_notation(operation, input_shape)
     _assert_trained(operation, input_shape, np.random.default_rng(0))
+
+
+def _assert_notation(operation, input_shape):
+    """An architecture with the operation is read as it was written."""
+    output = Dense(3, output=True)
+    if len(input_shape) == 3:
+        architecture = Architecture(input_shape, (operation, output))
+    else:  # an architecture has an image as input, and the layer before has its values in a row
+        architecture = Architecture((1, 1, 1), (Dense(*input_shape), operation, output))
+    text = str(architecture)
+    problem = f"the notation {text} is read differently"
+    read = parse(text)
+    assert read.layers[-2] == operation, problem
+    assert str(read) == text, problem
+    assert_same_operation(operation, read.layers[-2], input_shape, problem)
 
 
 def _assert_trained(operation, input_shape, rng):
     """TensorFlow computes its sums, and so do the synapses of the compiled functions."""
     from models.spiking.compiled import sum_inputs
 
-    if len(input_shape) == 3 and operation.kind in OPERATIONS:
-        output = Dense(3, output=True)
-        text = str(Architecture(input_shape, (operation, output)))
-        assert parse(text).layers[0] == operation, f"the notation {text} is read differently"
     shapes = operation.list_array_shapes(input_shape)
     assert shapes["bias"] == operation.compute_shape(input_shape)[-1:]
     kernel = rng.normal(size=shapes["kernel"]).astype(np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.network.blocks import choose_block
 from deploy.network.chip import LOIHI, Chip
-from deploy.network.geometry import sum_squares
+from deploy.network.geometry import sum_windows
 from deploy.network.reference import NeuronEquations
 from deploy.network.synapses import FINE_EXPONENT, count_weight_levels
 from models.chain import Link, make_layer
@@ -140,7 +140,7 @@ def compute_currents(link: Link, kernel, spikes) -> np.ndarray:
     ndarray, shape (n_samples, steps, neurons)
     """
     operation = link.operation
-    sums = sum_squares(np.reshape(spikes, (-1, *link.input_shape)), link.pool)
+    sums = sum_windows(np.reshape(spikes, (-1, *link.input_shape)), link.pool)
     sums = operation.compute_sums(operation.to_deployed(kernel), sums)
     return sums.reshape(*spikes.shape[:2], -1)
 
@@ -358,10 +358,10 @@ def measure_moments(link: Link, spikes) -> np.ndarray | None:
             voltages.append(v)
     values = np.stack(voltages, 1)
     values = values.reshape(-1, values.shape[-1])
-    if (
-        link.recurrent_kernel is None
-    ):  # the inputs of others have the link's own spikes at their end
-        values = sum_squares(values.reshape(-1, *link.input_shape), link.pool)
+    is_recurrent = link.recurrent_kernel is not None
+    # The inputs of a recurrent link have its own spikes at their end.
+    if not is_recurrent:
+        values = sum_windows(values.reshape(-1, *link.input_shape), link.pool)
     inputs_of_neuron = link.operation.gather_inputs(values)
     if inputs_of_neuron is None:
         return None

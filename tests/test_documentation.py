@@ -92,6 +92,26 @@ def test_what_is_generated_is_the_current_one(name):
     assert text == with_parts(text), "run: python -m experiments document"
 
 
+def find_rows_without_header(text):
+    """Rows of tables outside of fenced blocks whose paragraph does not begin with a header."""
+    prose = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    for paragraph in re.split(r"\n\s*\n", prose):
+        rows = [line for line in paragraph.splitlines() if line.lstrip().startswith("|")]
+        if rows and (len(rows) < 2 or not re.fullmatch(r"\s*\|(\s*:?-+:?\s*\|)+\s*", rows[1])):
+            yield rows[0]
+
+
+@pages
+def test_each_row_of_a_table_has_its_header(page):
+    assert list(find_rows_without_header(page.read_text(encoding="utf-8"))) == []
+
+
+def test_an_empty_line_in_a_table_is_found():
+    table = "| a | b |\n|---|---|\n| 1 | 2 |\n"
+    assert list(find_rows_without_header(table)) == []
+    assert list(find_rows_without_header(table + "\n| 3 | 4 |\n")) == ["| 3 | 4 |"]
+
+
 @pages
 def test_a_figure_does_not_begin_a_line(page):
     """Markdown ends the paragraph at a line that begins with a comment."""

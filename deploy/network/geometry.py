@@ -74,7 +74,7 @@ def compute_pooled_shape(input_shape, size: int) -> tuple:
     return (rows // size, columns // size, channels)
 
 
-def sum_squares(values, size: int) -> np.ndarray:
+def sum_windows(values, size: int) -> np.ndarray:
     """Sums over the squares of an average pooling, which are its averages times ``size**2``.
 
     Parameters

@@ -28,7 +28,7 @@ from ..loading import (
     load_dataclass,
     one_of,
 )
-from .geometry import compute_pooled_shape, sum_squares
+from .geometry import compute_pooled_shape, sum_windows
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
@@ -233,7 +233,7 @@ class Layer:
         ndarray, shape (n, neurons) or (n, sections * units)
         """
         values = np.reshape(values, (-1, *self.input_shape))
-        averages = sum_squares(values, self.pool) / self.pool**2
+        averages = sum_windows(values, self.pool) / self.pool**2
         return self.operation.compute_sums(self.weights, averages).reshape(len(values), -1)
 
     @property

@@ -18,6 +18,7 @@ from ..network.chip import DT, LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
 from ..network.spec import NetworkSpec, get_spec
 from ..tables import align_in_blocks, format_count
+from ..terminal import WARNING
 from .resources import (
     compute_worst_case,
     count_axon_cfg_registers,
@@ -352,6 +353,6 @@ def format_plan(plan: Plan) -> str:
     lines = align_in_blocks(rows, left=3)
     lines.append(f"cores: {len(plan.cores)}, chips: {plan.chips}")
     lines += LEGEND
-    lines += [f"warning: {line}" for line in plan.warnings]
+    lines += [f"{WARNING}{line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]
     return "\n".join(lines)

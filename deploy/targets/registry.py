@@ -190,8 +190,10 @@ def list_ladder_targets() -> Tuple[str, ...]:
 
 
 def list_exact_targets() -> Tuple[str, ...]:
-    """Names of the targets whose spikes are those of NengoLoihi's emulator, the fastest last."""
-    return tuple(target.name for target in TARGETS.values() if target.is_exact)
+    """Names of the targets whose spikes are those of NengoLoihi's emulator, slow ones first."""
+    targets = [target for target in TARGETS.values() if target.is_exact]
+    targets.sort(key=lambda target: not target.is_slow)  # a stable sort
+    return tuple(target.name for target in targets)
 
 
 def rank_targets_by_spikes() -> Tuple[str, ...]:

@@ -19,7 +19,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from deploy.errors import UserError
+from deploy.errors import UserError, shorten_error
 from deploy.files import POINTER_PROBLEM, POINTER_START, is_pointer
 
 REMEDY = "give a .keras or .h5 file that model.save() wrote"
@@ -72,7 +72,7 @@ def load_keras_model(path: Path):
     except ModelFileError:
         raise
     except Exception as error:  # Keras fails in many ways on other files and on custom classes
-        reason = " ".join(str(error).split())[:200]
+        reason = shorten_error(error, 200)
         raise ModelFileError(f"Keras cannot load it ({reason}); {REMEDY}") from error
 
 

@@ -95,8 +95,7 @@ def from_nir(
     if math.prod(chip_shape) != math.prod(shape) or not is_same_image:
         raise NirError(
             f"is for an input of {_format_shape(shape)}, and that of the chip is "
-            f"{_format_shape(chip_shape)} (rows, "
-            "columns, channels)"
+            f"{_format_shape(chip_shape)} (rows, columns, channels)"
         )
     before = shape if input_shape is None else (chip_shape[2], *chip_shape[:2])
     is_image = len(shape) == 3
@@ -360,15 +359,14 @@ class _LinkNodes:
                 f"{outputs * inputs} weights, more than {limits.WEIGHTS}; use square kernels, "
                 "equal strides, or averaging windows that do not overlap"
             )
-        matrix = _make_matrix(maps, self.before, offset) * weight_scale.reshape(
-            -1
-        )  # (inputs, outputs)
+        scales = weight_scale.reshape(-1)
+        # Its shape is (inputs, outputs).
+        matrix = _make_matrix(maps, self.before, offset) * scales
         neurons = np.arange(outputs) if self.is_last else _order_channels_last(self.shape)
         matrix = matrix[_order_channels_last(self.before)][:, neurons]
         if loop is not None:
-            common["recurrent_kernel"] = (loop["weight"].T * weight_scale.reshape(-1))[
-                np.ix_(neurons, neurons)
-            ]
+            recurrent = loop["weight"].T * scales
+            common["recurrent_kernel"] = recurrent[np.ix_(neurons, neurons)]
         operation = Dense(outputs, output=self.is_last)
         return Link(operation=operation, kernel=matrix, bias=bias[neurons], **common)
 

@@ -10,6 +10,7 @@ import io
 import h5py
 
 from deploy import limits
+from deploy.errors import shorten_error
 from deploy.files import POINTER_PROBLEM, is_pointer
 from models.nir.errors import NirError, quote
 
@@ -40,7 +41,7 @@ def read_tree(content: bytes) -> dict:
     except NirError:
         raise
     except Exception as error:  # h5py fails in many ways on other and damaged files
-        reason = " ".join(str(error).split())[:200]
+        reason = shorten_error(error, 200)
         raise NirError(
             f"not a NIR graph, or a damaged one ({reason}); write it with nir.write(path, graph)"
         ) from error

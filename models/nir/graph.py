@@ -17,7 +17,7 @@ from deploy import limits
 from deploy.files import reporting_os_errors
 from models.nir.conventions import Convention, recognise
 from models.nir.errors import NirError, quote
-from models.nir.nodes import MAX_DIMENSIONS, SPIKING, Node, find_kind, read_node
+from models.nir.nodes import MAX_DIMENSIONS, SPIKING, Node, read_node, read_node_kind
 from models.nir.topology import find_chain, find_loops, merge_subgraphs
 
 
@@ -142,7 +142,7 @@ def _list_input_shapes(name, node, following) -> list:
     shapes = [shape[start:] for start in range(max(len(shape), 1))]
     if shape[:1] == (1,) and len(shape) == 4:
         shapes = shapes[1:]
-    reads_image = find_kind(following).startswith(("Conv", "SumPool", "AvgPool"))
+    reads_image = read_node_kind(following).startswith(("Conv", "SumPool", "AvgPool"))
     if not reads_image and set(shape[:-1]) == {1}:
         shapes = shapes[-1:]  # samples and time of 1
     usable = [

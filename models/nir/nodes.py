@@ -64,7 +64,7 @@ class Node:
 
 def read_node(name, values, shape) -> Node:
     """A node for an input of a shape."""
-    kind = find_kind(values)
+    kind = read_node_kind(values)
     handler = HANDLERS.get(kind)
     if handler is None:
         raise NirError(
@@ -85,7 +85,7 @@ def decode(value) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def find_kind(node) -> str:
+def read_node_kind(node) -> str:
     return decode(node.get("type", "nothing"))
 
 
@@ -231,8 +231,7 @@ def _read_padding(values, dimensions, reach, stride):
         if decode(padding) != "same" or max(stride) > 1:
             values.refuse(
                 f"padding {quote(decode(padding))} with a stride of {max(stride)}; give "
-                "the padding "
-                "as a number"
+                "the padding as a number"
             )
         return tuple(((r - 1) // 2, (r - 1) - (r - 1) // 2) for r in reach)
     return tuple((n, n) for n in values.read_counts("padding", dimensions, 0, default=0))

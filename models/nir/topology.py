@@ -11,7 +11,7 @@ import itertools
 from typing import NoReturn
 
 from models.nir.errors import NirError, quote
-from models.nir.nodes import decode, find_kind
+from models.nir.nodes import decode, read_node_kind
 
 
 def merge_subgraphs(tree, prefix="") -> tuple:
@@ -20,7 +20,7 @@ def merge_subgraphs(tree, prefix="") -> tuple:
     inside = {}
     edges = {(prefix + decode(a), prefix + decode(b)) for a, b in tree["edges"]}
     for name, node in ((prefix + name, node) for name, node in tree["nodes"].items()):
-        if find_kind(node) != "NIRGraph":
+        if read_node_kind(node) != "NIRGraph":
             nodes[name] = node
             continue
         inner_nodes, inner_edges = merge_subgraphs(node, f"{name}.")
@@ -50,7 +50,7 @@ def merge_subgraphs(tree, prefix="") -> tuple:
 
 def _find_only_node(nodes, kind, where="") -> str:
     """Name of the only node of a kind."""
-    names = [name for name, node in nodes.items() if find_kind(node) == kind]
+    names = [name for name, node in nodes.items() if read_node_kind(node) == kind]
     if len(names) != 1:
         listed = f" ({', '.join(map(quote, names[:5]))})" if names else ""
         raise NirError(
@@ -69,7 +69,7 @@ def find_loops(nodes, edges) -> dict:
     for name in list(nodes):
         before = {a for a, b in edges if b == name}
         after = {b for a, b in edges if a == name}
-        if find_kind(nodes[name]) not in ("Linear", "Affine") or len(after) != 1:
+        if read_node_kind(nodes[name]) not in ("Linear", "Affine") or len(after) != 1:
             continue
         (layer,) = after
         if before != after:
@@ -108,10 +108,9 @@ def find_chain(nodes, edges) -> tuple:
         if len(after[name]) != 1 or len(order) > len(nodes):
             leads = " and ".join(map(quote, after[name][:3])) or "nothing"
             raise NirError(
-                f"node {quote(name)} ({find_kind(nodes[name])}) leads to {leads}; a "
-                f"chain from input "
-                "to output can be used, in which a layer of neurons may also be connected to "
-                "itself, through one Linear or Affine and without delays"
+                f"node {quote(name)} ({read_node_kind(nodes[name])}) leads to {leads}; "
+                "a chain from input to output can be used, in which a layer of neurons may also be "
+                "connected to itself, through one Linear or Affine and without delays"
             )
         (name,) = after[name]
         order.append(name)

@@ -20,6 +20,9 @@ OPERATIONS: dict[str, type[Operation]] = {
     "dense": Dense,
 }
 
+# Notation of an output layer.
+OUTPUT_EXAMPLE = "10o"
+
 __all__ = [
     "OPERATIONS",
     "Convolution",
@@ -38,11 +41,28 @@ def register_operation(operation: type[Operation], deployed: type[DeployedOperat
     Raises
     ------
     ValueError
-        The two have different kinds, or there is an operation of their kind.
+        The two have different kinds, there is an operation of their kind, or one notation can be
+        read as two layers.
     """
     if operation.kind != deployed.kind:
         raise ValueError(f"operation {operation.kind!r}: what runs it is {deployed.kind!r}")
     if operation.kind in {*OPERATIONS, *DEPLOYED_OPERATIONS}:
         raise ValueError(f"operation {operation.kind!r}: there is one already")
+    _refuse_ambiguous_notation(operation)
     OPERATIONS[operation.kind] = operation
     DEPLOYED_OPERATIONS[deployed.kind] = deployed
+
+
+def _refuse_ambiguous_notation(operation):
+    """Raise a ValueError if an example of one layer is in the notation of another."""
+    if operation.token.fullmatch(OUTPUT_EXAMPLE):
+        raise ValueError(f"operation {operation.kind!r}: {OUTPUT_EXAMPLE} is an output already")
+    for layer in (Pooling, *OPERATIONS.values()):
+        for example in layer.examples:
+            if operation.token.fullmatch(example):
+                raise ValueError(f"operation {operation.kind!r}: {example} is {layer.noun} already")
+        for example in operation.examples:
+            if layer.token.fullmatch(example):
+                raise ValueError(
+                    f"operation {operation.kind!r}: its example {example} is {layer.noun} already"
+                )

@@ -13,6 +13,7 @@ import numpy as np
 from deploy.network.chip import DT
 from deploy.network.spec import NetworkSpec
 from deploy.tables import align_rows, format_count
+from deploy.terminal import WARNING
 
 # Share of the fastest rate from which a neuron counts as saturated on a sample.
 NEAR_FASTEST = 0.9
@@ -146,10 +147,10 @@ def describe_neurons(neurons: dict) -> list:
     for name, layer in neurons.items():
         line = f"{name}: {layer['silent']:.1%} silent, {layer['saturated']:.1%} saturated"
         if layer["silent"] == 1:
-            line = f"warning: {line}: the layer is dead; lower the learning rate or max_rates"
+            line = f"{WARNING}{line}: the layer is dead; lower the learning rate or max_rates"
         elif layer["silent"] > 0.5:
-            line = f"warning: {line}: most of its neurons never fire; a smaller layer may do"
+            line = f"{WARNING}{line}: most of its neurons never fire; a smaller layer may do"
         elif layer["saturated"] > 0.1:
-            line = f"warning: {line}: lower max_rates, or train with smaller weights"
+            line = f"{WARNING}{line}: lower max_rates, or train with smaller weights"
         lines.append(line)
     return lines

@@ -8,7 +8,7 @@ from deploy.errors import UserError
 from deploy.files import hash_file
 from deploy.terminal import WARNING
 from pipeline.settings import IMPORTED
-from pipeline.storage.artifacts import MISSING, State
+from pipeline.storage.artifacts import State
 
 # Beginnings of the changes after which other samples are in the test set.
 SPLIT_SETTINGS = ("seed", "split", "recordings", "data.", "skin.")
@@ -52,7 +52,7 @@ class ImportedNetwork(NamedTuple):
             Of the split.
         """
         changed = [change.name for change in state.because]
-        if state.state == MISSING:
+        if state.is_missing:
             yield (
                 f"{self.step}: the accuracies are too high if the network in the file was trained "
                 f"on test samples of this split (seed {seed})"

@@ -49,7 +49,7 @@ JSON_NAMES = {
 MAX_HEAD_CHARACTERS = 20
 
 
-def measure_samples(recordings) -> dict:
+def measure_recordings(recordings) -> dict:
     """The measures of every recording.
 
     Every column of the published array counts as an event, as in the paper; ``on_physical`` and
@@ -92,7 +92,7 @@ def measure_classes(recordings) -> dict:
     dict of int to dict
         For each digit that occurs: a pair (mean, SD) for each measure, and ``samples``.
     """
-    measures = measure_samples(recordings)
+    measures = measure_recordings(recordings)
     result = {}
     for digit in np.unique(recordings.labels):
         of_digit = recordings.labels == digit

@@ -42,13 +42,13 @@ LETTERS = string.ascii_uppercase
 WIDTH = 80
 
 
-def list_stages() -> tuple:
+def list_all_stages() -> tuple:
     """All stages that a result may have, in the order of the ladder."""
     return (*list_references(), *TARGETS)
 
 
 @dataclass(frozen=True)
-class Run:
+class ComparedRun:
     """The compared data of a run.
 
     Attributes
@@ -88,7 +88,7 @@ def read_runs(paths) -> list:
 
     Returns
     -------
-    list of Run
+    list of ComparedRun
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _read_run(path):
     if not folder.bundle.is_dir():
         raise UserError(f"{path}: has no bundle; make it with {format_command('convert', path)}")
     bundle = read_bundle(folder.bundle)
-    files = {stage: folder.find_check_file(stage) for stage in list_stages()}
+    files = {stage: folder.find_check_file(stage) for stage in list_all_stages()}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
     results = {stage: result for stage, result in every.items() if result["bundle"] == bundle.id}
     stale = [stage for stage in every if stage not in results]
@@ -117,7 +117,7 @@ def _read_run(path):
             f"{path}: no check results{old}; make them with {format_command('ladder', path)}"
         )
     plan = make_plan(bundle.spec)
-    return Run(
+    return ComparedRun(
         name=str(path),
         settings=read_settings(folder.experiment),
         spec=bundle.spec,
@@ -134,7 +134,7 @@ def compare_runs(runs) -> dict:
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of ComparedRun
         At least two.
 
     Returns
@@ -147,7 +147,7 @@ def compare_runs(runs) -> dict:
         order of the runs (see :func:`compare_accuracies`), None for a run without it.
     """
     runs_with = Counter(stage for run in runs for stage in run.results)
-    shared = [stage for stage in list_stages() if runs_with[stage] > 1]
+    shared = [stage for stage in list_all_stages() if runs_with[stage] > 1]
     return {
         "schema": SCHEMA,
         "runs": [
@@ -185,7 +185,7 @@ def _find_different_settings(runs):
     return different
 
 
-def compute_inference(run: Run) -> dict:
+def compute_inference(run: ComparedRun) -> dict:
     """Costs of an inference of a run's network, as plain values.
 
     Operations and times are those of the stage named by ``counted_on``, or None without a
@@ -256,7 +256,7 @@ def _count_right(result):
     return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
 
 
-def compare_accuracies(a: Run, b: Run, stage: str) -> dict | None:
+def compare_accuracies(a: ComparedRun, b: ComparedRun, stage: str) -> dict | None:
     """Difference in accuracy of a stage between two runs, B's minus A's.
 
     The comparison is paired if both have the same samples: the same ids and labels, in any order,

@@ -25,11 +25,6 @@ from pipeline.workflow import find_bundle_artifact, find_dataset_artifact, make_
 # Width of the text in columns.
 WIDTH = 80
 
-# Targets of the check that the ladder does not run.
-CHECKED_ALONE = tuple(
-    name for name, target in TARGETS.items() if target.needs_board or not target.in_ladder
-)
-
 
 @dataclass(frozen=True)
 class Status:
@@ -94,6 +89,13 @@ def list_states(run: RunFolder, adapted: bool = False) -> list:
     ]
 
 
+def list_targets_checked_alone() -> tuple:
+    """Names of the targets of the check that the ladder does not run, with those of plugins."""
+    return tuple(
+        name for name, target in TARGETS.items() if target.needs_board or not target.in_ladder
+    )
+
+
 def find_outdated(statuses) -> dict:
     """The artifacts that are outdated, with the reasons.
 
@@ -106,7 +108,8 @@ def find_outdated(statuses) -> dict:
     dict of str to str
         The reasons as one line, by the artifact's name.
     """
-    return {s.state.name: s.state.describe_reasons() for s in statuses if s.state.state == OUTDATED}
+    states = [status.state for status in statuses]
+    return {state.name: state.describe_reasons() for state in states if state.is_outdated}
 
 
 def describe_remedy(run, names) -> str:
@@ -119,7 +122,7 @@ def describe_remedy(run, names) -> str:
     names : iterable of str
         The artifacts' names, as in :func:`list_states`.
     """
-    targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
+    targets = [name for name in list_targets_checked_alone() if f"checks/{name}" in names]
     commands = [format_command("check", "run", run, "--target", target) for target in targets]
     adapted = {name for name in names if name.startswith("adapted/")}
     if set(names) - adapted - {f"checks/{target}" for target in targets}:
@@ -164,7 +167,7 @@ def format_status(run: RunFolder, statuses) -> str:
     for status in statuses:
         accuracy = "" if status.accuracy is None else f"{status.accuracy:.3f}"
         seconds = "" if status.seconds is None else f"{status.seconds:.0f}"
-        rows.append([status.state.name, status.state.state, accuracy, seconds])
+        rows.append([status.state.name, status.state.condition, accuracy, seconds])
     lines = align_rows(rows, left=2)
     for status in statuses:
         if status.epochs is not None:
@@ -278,7 +281,7 @@ def _require_number(value):
 def _list_states_of_results(run, kind, dataset, bundle):
     """Checks and ladder, of the bundle's samples."""
     expected = list_stages(kind)
-    there = bundle.state != MISSING
+    there = not bundle.is_missing
     bundle_id = hash_file(run.bundle / "MANIFEST.json") if there else ""
     statuses = []
     results = {}
@@ -314,6 +317,6 @@ def _find_state_of_ladder(run, results, checks):
 
 def _mark_as_outdated(state, used):
     """Mark what is made from an outdated artifact as outdated, for the same reasons."""
-    if state.state == MISSING or used.state != OUTDATED:
+    if state.is_missing or not used.is_outdated:
         return state
     return State(state.name, OUTDATED, used.because, state.record)

@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.recordings.events import TICK_NS, Events
 
 
-def make_bursts(time_ns, taxel, polarity, p) -> Events:
+def make_bursts(time_ns, taxel, polarity, parameters) -> Events:
     """The decoder's reports without losses on the wire, computed directly.
 
     An event at ``t`` with pulses of width ``w`` is reported at every tick from ``t`` to just before
@@ -29,14 +29,14 @@ def make_bursts(time_ns, taxel, polarity, p) -> Events:
     time_ns : ndarray of float, shape (n,)
         Times, not rounded to the grid.
     taxel, polarity : ndarrays of int, shape (n,)
-    p : section ``[aces]`` of ``parameters.toml``
+    parameters : section ``[aces]`` of ``parameters.toml``
 
     Returns
     -------
     Events
         In order of time, no two in the same tick.
     """
-    first, columns = find_ticks(time_ns, polarity, p)
+    first, columns = find_ticks(time_ns, polarity, parameters)
     return queue_bursts(first, taxel, polarity, columns)
 
 
@@ -45,11 +45,11 @@ class Decoder:
 
     Parameters
     ----------
-    p : section ``[aces]`` of ``parameters.toml``
+    parameters : section ``[aces]`` of ``parameters.toml``
     """
 
-    def __init__(self, p):
-        self._p = p
+    def __init__(self, parameters):
+        self._parameters = parameters
         self._free = 0
         self._waiting = np.empty(0), np.empty(0, int), np.empty(0, int)
 
@@ -66,7 +66,7 @@ class Decoder:
             np.concatenate([old, new])
             for old, new in zip(self._waiting, (time_ns, taxel, polarity), strict=True)
         ]
-        first, columns = find_ticks(every[0], every[2], self._p)
+        first, columns = find_ticks(every[0], every[2], self._parameters)
         due = first < np.ceil(until_ns / TICK_NS)
         self._waiting = tuple(values[~due] for values in every)
         events = queue_bursts(first[due], every[1][due], every[2][due], columns[due], self._free)
@@ -75,9 +75,9 @@ class Decoder:
         return events
 
 
-def find_ticks(time_ns, polarity, p):
+def find_ticks(time_ns, polarity, parameters):
     """First tick and number of ticks at which a pulse sent at ``time_ns`` is high."""
-    width = np.where(np.asarray(polarity) > 0, p.rise_ns, p.fall_ns)
+    width = np.where(np.asarray(polarity) > 0, parameters.rise_ns, parameters.fall_ns)
     first = np.ceil(np.asarray(time_ns) / TICK_NS).astype(np.int64)
     return first, np.ceil((time_ns + width) / TICK_NS).astype(np.int64) - first
 

@@ -14,11 +14,11 @@ import numpy as np
 from pipeline.recordings.sensor import GRID, TaxelMap
 
 
-def press(motion, gain, least, p, size=(GRID, GRID)):
+def press(motion, gain, least, skin, size=(GRID, GRID)):
     """The pressure of a pen on the taxels that it reaches, before the film creeps.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
-    it falls off as a Gaussian of standard deviation ``p.spread``.  The next steps are
+    it falls off as a Gaussian of standard deviation ``skin.spread``.  The next steps are
     :class:`Creep` and then :func:`add_vibration`.
 
     Parameters
@@ -28,7 +28,7 @@ def press(motion, gain, least, p, size=(GRID, GRID)):
         Gain of each taxel.
     least : float
         Taxels whose pressure is always lower are left out.
-    p : section ``[skin]`` of the parameters
+    skin : section ``[skin]`` of the parameters
     size : (int, int)
         Rows and columns of taxels.
 
@@ -41,7 +41,7 @@ def press(motion, gain, least, p, size=(GRID, GRID)):
     """
     step = motion.time_s[1] - motion.time_s[0]
     taxel_map = TaxelMap.grid(*size)
-    rows, columns = _compute_profiles(motion.down, motion.right, motion.force, p, size)
+    rows, columns = _compute_profiles(motion.down, motion.right, motion.force, skin, size)
     reach = rows.max(axis=0)[taxel_map.row] * columns.max(axis=0)[taxel_map.column] * gain
     taxels = np.flatnonzero(reach > least)
     felt = rows[:, taxel_map.row[taxels]] * columns[:, taxel_map.column[taxels]]
@@ -60,13 +60,13 @@ class Creep:
     ----------
     n_taxels : int
     step_s : float
-    p : section ``[skin]`` of the parameters
+    skin : section ``[skin]`` of the parameters
     """
 
-    def __init__(self, n_taxels, step_s, p):
+    def __init__(self, n_taxels, step_s, skin):
         self._late = np.zeros(n_taxels, np.float32)
-        self._lag = np.float32(np.exp(-step_s / p.creep_s))
-        self._share = np.float32(p.creep)
+        self._lag = np.float32(np.exp(-step_s / skin.creep_s))
+        self._share = np.float32(skin.creep)
 
     def advance(self, felt):
         """Convert the signal of some steps to the film's response, in place.
@@ -85,11 +85,11 @@ class Creep:
             now += np.multiply(change, self._share, out=change)
 
 
-def add_vibration(signal, speed, rng, p):
+def add_vibration(signal, speed, rng, skin):
     """Add vibration and noise to the film's response, in place.
 
     A sliding tip scrapes: each taxel's pressure vibrates in proportion to itself and to the speed,
-    up to ``p.scrape_speed``.  In addition each taxel has a small independent noise.
+    up to ``skin.scrape_speed``.  In addition each taxel has a small independent noise.
 
     Parameters
     ----------
@@ -97,26 +97,26 @@ def add_vibration(signal, speed, rng, p):
     speed : ndarray of float, shape (n_times,)
         Speed of the tip, in taxels per second.
     rng : numpy.random.Generator
-    p : section ``[skin]`` of the parameters
+    skin : section ``[skin]`` of the parameters
     """
-    rough = (p.scrape * np.minimum(speed / p.scrape_speed, 1)).astype(np.float32)
+    rough = (skin.scrape * np.minimum(speed / skin.scrape_speed, 1)).astype(np.float32)
     # Two independent noises are one with the root of the sum of their squares.
     deviation = rough[:, None] * signal
     deviation *= deviation
-    deviation += np.float32(p.noise**2)
+    deviation += np.float32(skin.noise**2)
     np.sqrt(deviation, out=deviation)
     deviation *= rng.standard_normal(signal.shape, np.float32)
     signal += deviation
 
 
-def spread_force(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
+def spread_force(down, right, force, skin, size=(GRID, GRID)) -> np.ndarray:
     """Force of the tip, spread over all taxels.
 
     Parameters
     ----------
     down, right, force : ndarrays of float, shape (n_times,)
         As in :class:`pipeline.simulation.handwriting.Motion`.
-    p : section ``[skin]`` of the parameters
+    skin : section ``[skin]`` of the parameters
     size : (int, int)
         Rows and columns of taxels.
 
@@ -124,15 +124,15 @@ def spread_force(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     -------
     ndarray of float32, shape (n_times, n_taxels)
     """
-    rows, columns = _compute_profiles(down, right, force, p, size)
+    rows, columns = _compute_profiles(down, right, force, skin, size)
     taxel_map = TaxelMap.grid(*size)
     return rows[:, taxel_map.row] * columns[:, taxel_map.column]
 
 
-def _compute_profiles(down, right, force, p, size):
+def _compute_profiles(down, right, force, skin, size):
     """The two factors of the pressure: over the rows, with the force, and over the columns."""
     rows, columns = (
-        np.exp(-0.5 * (np.abs(along[:, None] - np.arange(n)) / p.spread) ** p.falloff)
+        np.exp(-0.5 * (np.abs(along[:, None] - np.arange(n)) / skin.spread) ** skin.falloff)
         for along, n in zip((down, right), size, strict=True)
     )
     rows *= force[:, None]

@@ -96,26 +96,26 @@ class Writer:
 NOBODY = Writer()
 
 
-def draw_writer(rng, p) -> Writer:
+def draw_writer(rng, parameters) -> Writer:
     """Draw a person.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-    p : pipeline.simulation.parameters.Parameters
+    parameters : pipeline.simulation.parameters.Parameters
     """
-    shapes = p.shapes
+    shapes = parameters.shapes
     size = DIGITS, shapes.most_ways, shapes.highest_rank
     faster, harder, rougher = rng.standard_normal(3)
-    habit_share = np.sqrt(p.writers.habit)
+    habit_share = np.sqrt(parameters.writers.habit)
     return Writer(
         allographs=tuple(draw_way(rng, digit, shapes) for digit in range(DIGITS)),
         offsets=rng.standard_normal(size),
         backwards=rng.random(DIGITS),
         placing=rng.standard_normal(3),
-        tempo=p.shapes.tempo * faster,
-        force=habit_share * p.trials.force * harder,
-        scrape=habit_share * p.trials.scrape * rougher,
+        tempo=parameters.shapes.tempo * faster,
+        force=habit_share * parameters.trials.force * harder,
+        scrape=habit_share * parameters.trials.scrape * rougher,
         even=rng.random(),
         session=rng.random(),
     )
@@ -153,7 +153,7 @@ def draw_shape(digit: int, who: Writer, rng, shapes: ShapeModel) -> Shape:
     return Shape(choice, way.between @ person + way.within @ trial)
 
 
-def write(digit: int, shape: Shape, who: Writer, p) -> tuple:
+def write(digit: int, shape: Shape, who: Writer, parameters) -> tuple:
     """The strokes of one digit.
 
     Parameters
@@ -161,16 +161,16 @@ def write(digit: int, shape: Shape, who: Writer, p) -> tuple:
     digit : int
     shape : Shape
     who : Writer
-    p : pipeline.simulation.parameters.Parameters
+    parameters : pipeline.simulation.parameters.Parameters
 
     Returns
     -------
     tuple of ndarray, shape (n, 2)
         As in a :class:`Trace`.
     """
-    strokes = p.shapes.allographs[digit][shape.way].make_strokes(shape.along)
+    strokes = parameters.shapes.allographs[digit][shape.way].make_strokes(shape.along)
     strokes = tuple(even_out(stroke, who.even) for stroke in strokes)
-    if who.backwards[digit] < p.writers.backwards[digit]:
+    if who.backwards[digit] < parameters.writers.backwards[digit]:
         return tuple(stroke[::-1] for stroke in strokes[::-1])
     return strokes
 
@@ -198,12 +198,12 @@ def draw_placing(who: Writer, rng, form, habit: float):
     return lambda points: points * np.exp(log_height) + centre
 
 
-def measure_duration_s(strokes, p) -> float:
+def measure_duration_s(strokes, kinematics) -> float:
     """Duration in seconds of :func:`move` at tempo 1."""
-    return float(_time_points(strokes, 1.0, p)[-1][-1])
+    return float(_time_points(strokes, 1.0, kinematics)[-1][-1])
 
 
-def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
+def move(strokes, tempo: float, step_s: float, start_s: float, kinematics) -> Motion:
     """Write strokes on the skin.
 
     Along each stroke the points are evenly spaced in time, so that the writer's changes of speed
@@ -218,46 +218,52 @@ def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
         Factor on the speed.
     step_s, start_s : float
         Time step, and start of the movement, in seconds.
-    p : section ``[kinematics]`` of ``parameters.toml``
+    kinematics : section ``[kinematics]`` of ``parameters.toml``
 
     Returns
     -------
     Motion
-        From ``p.landing_s`` before the first stroke to ``p.settle_s`` after the last one.
+        From ``kinematics.landing_s`` before the first stroke to ``kinematics.settle_s`` after the
+        last one.
     """
-    clock = _time_points(strokes, tempo, p)
+    clock = _time_points(strokes, tempo, kinematics)
     end_s = clock[-1][-1]
-    time_s = np.arange(-p.landing_s, end_s + p.settle_s, step_s)
+    time_s = np.arange(-kinematics.landing_s, end_s + kinematics.settle_s, step_s)
     path = PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
     down, right = path(np.clip(time_s, 0, end_s)).T
     lands_s, lifts_s = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T
-    force = compute_contact_force(time_s, lands_s, lifts_s, p)
+    force = compute_contact_force(time_s, lands_s, lifts_s, kinematics)
     return Motion(start_s + time_s, down, right, force)
 
 
-def _time_points(strokes, tempo, p):
+def _time_points(strokes, tempo, kinematics):
     """Time of each point of each stroke, from the first point on."""
     path = sum(np.hypot(*np.diff(stroke, axis=0).T).sum() for stroke in strokes)
-    interval = max(path, 1.0) / p.speed / tempo / sum(len(stroke) - 1 for stroke in strokes)
+    interval = (
+        max(path, 1.0) / kinematics.speed / tempo / sum(len(stroke) - 1 for stroke in strokes)
+    )
     clock = [interval * np.arange(len(strokes[0]))]
     for before, stroke in itertools.pairwise(strokes):
         # Isochrony: the way through the air takes less than twice the time for twice the length.
         leap = max(np.hypot(*(stroke[0] - before[-1])), 0.3)
-        lands = clock[-1][-1] + p.lift_s * (leap / p.lift_taxels) ** p.isochrony / tempo
+        lands = (
+            clock[-1][-1]
+            + kinematics.lift_s * (leap / kinematics.lift_taxels) ** kinematics.isochrony / tempo
+        )
         clock.append(lands + interval * np.arange(len(stroke)))
     return clock
 
 
-def compute_contact_force(time_s, lands_s, lifts_s, p):
+def compute_contact_force(time_s, lands_s, lifts_s, kinematics):
     """Force over time: 0 in the air and 1 on the skin, rising and falling smoothly.
 
     Parameters
     ----------
     time_s : ndarray of float, shape (n,)
     lands_s, lifts_s : ndarrays of float, shape (n_contacts,)
-    p : section ``[kinematics]`` of ``parameters.toml``
+    kinematics : section ``[kinematics]`` of ``parameters.toml``
     """
-    width_s = p.landing_s / 4
+    width_s = kinematics.landing_s / 4
     rise = expit((time_s[:, None] - lands_s) / width_s)
     fall = expit((lifts_s - time_s[:, None]) / width_s)
     force = (rise * fall).max(axis=1)

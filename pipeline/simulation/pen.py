@@ -61,7 +61,7 @@ class Writing:
     ----------
     seed : sequence of int
         Seed of everything that differs between recordings: gains, thresholds, clocks, noise.
-    p : pipeline.simulation.parameters.Parameters
+    parameters : pipeline.simulation.parameters.Parameters
     size : (int, int)
         Rows and columns of the skin.  The taxels, and the spread of a force over them, are the same
         on every skin.
@@ -69,31 +69,33 @@ class Writing:
         1 for taxels that report only ON events.
     """
 
-    def __init__(self, seed, p, size=SIZE, polarities=2):
+    def __init__(self, seed, parameters, size=SIZE, polarities=2):
         rng = np.random.default_rng(seed)
-        gain = compute_gain(p.skin, size)
+        gain = compute_gain(parameters.skin, size)
         n_taxels = len(gain)
-        gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(n_taxels))
-        off = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
-        off *= p.receptor.threshold
-        clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(n_taxels)))
-        self._p = p
+        gain = gain * np.exp(parameters.skin.gain_drift * rng.standard_normal(n_taxels))
+        off = np.exp(
+            parameters.receptor.off + parameters.receptor.off_spread * rng.standard_normal()
+        )
+        off *= parameters.receptor.threshold
+        clock = np.exp(parameters.receptor.clock * np.abs(rng.standard_normal(n_taxels)))
+        self._parameters = parameters
         self._rng = rng
         self._size = size
         self._polarities = polarities
-        self._usual = np.exp(np.mean([form.force for form in p.forms]))
+        self._usual = np.exp(np.mean([form.force for form in parameters.forms]))
         self._gain = gain.astype(np.float32)
-        self._skin = draw_skin(NOBODY, rng, p)
-        self._film = contact.Creep(n_taxels, STEP_S, p.skin)
+        self._skin = draw_skin(NOBODY, rng, parameters)
+        self._film = contact.Creep(n_taxels, STEP_S, parameters.skin)
         self._receptors = Receptors(
             np.zeros(n_taxels, np.float32),
-            on=np.full(n_taxels, p.receptor.threshold, np.float32),
+            on=np.full(n_taxels, parameters.receptor.threshold, np.float32),
             off=np.full(n_taxels, off, np.float32),
             step_s=STEP_S,
-            refractory_s=p.receptor.refractory_s * clock,
-            poll_s=p.receptor.poll_s * clock,
+            refractory_s=parameters.receptor.refractory_s * clock,
+            poll_s=parameters.receptor.poll_s * clock,
         )
-        self._decoder = aces.Decoder(p.aces)
+        self._decoder = aces.Decoder(parameters.aces)
         self._row = 0  # rows processed by the receptors, without the first, untouched one
         self._points = []
         self._contacts = []  # [landed, lifted or infinity]
@@ -110,7 +112,7 @@ class Writing:
         """Time at which the skin has come to rest, if the pen does not come back; else infinity."""
         if not self._contacts:
             return START_S
-        return self._contacts[-1][1] + self._p.kinematics.settle_s
+        return self._contacts[-1][1] + self._parameters.kinematics.settle_s
 
     @property
     def events(self) -> Events:
@@ -188,7 +190,7 @@ class Writing:
         """Position and force of the tip at some times, each shape (n,)."""
         knots = np.array([(p.time_s, p.down, p.right, p.pressure) for p in self._points])
         down, right, pressure = (np.interp(time_s, knots[:, 0], knots[:, i]) for i in (1, 2, 3))
-        kinematics = self._p.kinematics
+        kinematics = self._parameters.kinematics
         lands_s, lifts_s = np.array(self._contacts).T + kinematics.landing_s
         force = self._usual * np.clip(pressure / USUAL_PRESSURE, WEAKEST, STRONGEST)
         return down, right, force * compute_contact_force(time_s, lands_s, lifts_s, kinematics)
@@ -198,5 +200,5 @@ class Writing:
         now = self.time_s
         later = next((i for i, p in enumerate(self._points) if p.time_s > now), len(self._points))
         self._points = self._points[max(later - 1, 0) :]
-        settled = now - self._p.kinematics.settle_s
+        settled = now - self._parameters.kinematics.settle_s
         self._contacts = [c for c in self._contacts if c[1] > settled] or self._contacts[-1:]

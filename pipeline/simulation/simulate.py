@@ -34,7 +34,7 @@ BATCH = 128
 
 
 @dataclass(frozen=True)
-class Sample:
+class PlannedRecording:
     """A sample to be recorded.
 
     Attributes
@@ -59,7 +59,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Touch:
+class TouchSignal:
     """One recording up to the signal of the taxels, and the parameters of the remaining steps.
 
     Attributes
@@ -191,7 +191,7 @@ def list_samples(seed, counts, people, traces=None) -> list:
 
     Returns
     -------
-    list of Sample
+    list of PlannedRecording
 
     Raises
     ------
@@ -200,7 +200,7 @@ def list_samples(seed, counts, people, traces=None) -> list:
     """
     if traces is None:
         return [
-            Sample(digit, index, index * people // count)
+            PlannedRecording(digit, index, index * people // count)
             for digit, count in enumerate(counts)
             for index in range(count)
         ]
@@ -213,47 +213,49 @@ def list_samples(seed, counts, people, traces=None) -> list:
         rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
         chosen = np.concatenate([np.empty(0, int), *rounds])[:count]
         samples += [
-            Sample(digit, index, pool[one].writer, pool[one]) for index, one in enumerate(chosen)
+            PlannedRecording(digit, index, pool[one].writer, pool[one])
+            for index, one in enumerate(chosen)
         ]
     return samples
 
 
-def _simulate_batch(seed, samples, p, size):
+def _simulate_batch(seed, samples, parameters, size):
     """Events of some recordings; runs in a process of its own."""
-    gain = compute_gain(p.skin, size)
+    gain = compute_gain(parameters.skin, size)
     touches = [
-        _simulate_touch(sample, *begin_sample(seed, sample, p), gain, p, size) for sample in samples
+        _simulate_touch(sample, *begin_sample(seed, sample, parameters), gain, parameters, size)
+        for sample in samples
     ]
-    events = _receive(touches, p, size)
+    events = _receive(touches, parameters, size)
     for number, sample in enumerate(samples):
         # Spread evenly over the recordings of a digit.
-        if (sample.index * p.chunked) % 1 + p.chunked >= 1:
+        if (sample.index * parameters.chunked) % 1 + parameters.chunked >= 1:
             events[number] = chunk_events(events[number])
     return events
 
 
-def begin_sample(seed, sample, p):
+def begin_sample(seed, sample, parameters):
     """The writer of a sample, and the generator of all that differs between recordings."""
     rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
     if sample.trace is None:
-        who = handwriting.draw_writer(np.random.default_rng([seed, 1, sample.writer]), p)
+        who = handwriting.draw_writer(np.random.default_rng([seed, 1, sample.writer]), parameters)
     else:
         session = np.random.default_rng([seed, 1, sample.writer + 1]).random()
         who = replace(handwriting.NOBODY, session=session)
     return who, rng
 
 
-def compute_gain(p, size=SIZE) -> np.ndarray:
+def compute_gain(skin, size=SIZE) -> np.ndarray:
     """Gain of each taxel, shape (n_taxels,): that of the real array, repeated on a larger skin.
 
     Parameters
     ----------
-    p : section ``[skin]`` of the parameters
+    skin : section ``[skin]`` of the parameters
     size : (int, int)
         Rows and columns of the skin.
     """
     taxels = TaxelMap.grid(*size)
-    gain = np.reshape(p.gain, SIZE)  # by columns and rows
+    gain = np.reshape(skin.gain, SIZE)  # by columns and rows
     return np.exp(gain[taxels.column % GRID, taxels.row % GRID])
 
 
@@ -272,33 +274,37 @@ def scale_motion(moved, size):
     return replace(moved, down=down, right=right)
 
 
-def draw_motion(sample, who, rng, p):
+def draw_motion(sample, who, rng, parameters):
     """The pen's movement over the skin for one recording, force included.
 
     Parameters
     ----------
-    sample : Sample
+    sample : PlannedRecording
     who : pipeline.simulation.handwriting.Writer
     rng : numpy.random.Generator
-    p : Parameters
+    parameters : Parameters
 
     Returns
     -------
     pipeline.simulation.handwriting.Motion
     """
-    form = p.forms[sample.digit]
-    kinematics = p.kinematics
+    form = parameters.forms[sample.digit]
+    kinematics = parameters.kinematics
     if sample.trace is None:
-        shape = handwriting.draw_shape(sample.digit, who, rng, p.shapes)
-        strokes = handwriting.write(sample.digit, shape, who, p)
+        shape = handwriting.draw_shape(sample.digit, who, rng, parameters.shapes)
+        strokes = handwriting.write(sample.digit, shape, who, parameters)
     else:
         strokes = sample.trace.strokes
     start = rng.uniform(*kinematics.onset_s)
     # Limits the deviations to plausible ones.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
-    tempo = np.exp(who.tempo + p.shapes.trial_tempo * faster)
-    force = form.force + who.force + np.sqrt(1 - p.writers.habit) * p.trials.force * harder
-    placing = handwriting.draw_placing(who, rng, form, p.writers.habit)
+    tempo = np.exp(who.tempo + parameters.shapes.trial_tempo * faster)
+    force = (
+        form.force
+        + who.force
+        + np.sqrt(1 - parameters.writers.habit) * parameters.trials.force * harder
+    )
+    placing = handwriting.draw_placing(who, rng, form, parameters.writers.habit)
     strokes = [placing(stroke) for stroke in strokes]
     length = handwriting.measure_duration_s(strokes, kinematics)
     # The writing must end within the recording.
@@ -307,42 +313,42 @@ def draw_motion(sample, who, rng, p):
     return replace(moved, force=np.exp(force) * moved.force * _draw_waver(moved, rng, kinematics))
 
 
-def _draw_waver(motion, rng, p):
+def _draw_waver(motion, rng, kinematics):
     """Slow changes of the force along the movement, with a geometric mean of 1."""
-    along = (motion.time_s - motion.time_s[0]) / p.waver_s
+    along = (motion.time_s - motion.time_s[0]) / kinematics.waver_s
     knots = rng.standard_normal(int(along[-1]) + 2)
-    return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
+    return np.exp(kinematics.waver * np.interp(along, np.arange(len(knots)), knots))
 
 
-def _simulate_touch(sample, who, rng, gain, p, size):
-    moved = scale_motion(draw_motion(sample, who, rng, p), size)
-    skin = draw_skin(who, rng, p, p.forms[sample.digit].contact)
-    gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
-    taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, skin, size)
-    return Touch(moved.time_s[0], taxels, felt, speed, skin, who.session, rng)
+def _simulate_touch(sample, who, rng, gain, parameters, size):
+    moved = scale_motion(draw_motion(sample, who, rng, parameters), size)
+    skin = draw_skin(who, rng, parameters, parameters.forms[sample.digit].contact)
+    gain = gain * np.exp(parameters.skin.gain_drift * rng.standard_normal(len(gain)))
+    taxels, felt, speed = press(moved, gain, parameters.receptor.threshold / 2, skin, size)
+    return TouchSignal(moved.time_s[0], taxels, felt, speed, skin, who.session, rng)
 
 
-def draw_skin(who, rng, p, contact=0.0):
+def draw_skin(who, rng, parameters, contact=0.0):
     """Section ``[skin]`` with the width of the contact and the roughness of one recording.
 
     Parameters
     ----------
     who : pipeline.simulation.handwriting.Writer
     rng : numpy.random.Generator
-    p : Parameters
+    parameters : Parameters
     contact : float
         Logarithm of the digit's factor on the width of the contact.
     """
     wider, rougher = np.clip(rng.standard_normal(2), -2.5, 2.5)
-    rougher *= np.sqrt(1 - p.writers.habit)
+    rougher *= np.sqrt(1 - parameters.writers.habit)
     return replace(
-        p.skin,
-        spread=p.skin.spread * np.exp(contact + p.skin.spread_spread * wider),
-        scrape=p.skin.scrape * np.exp(who.scrape + p.trials.scrape * rougher),
+        parameters.skin,
+        spread=parameters.skin.spread * np.exp(contact + parameters.skin.spread_spread * wider),
+        scrape=parameters.skin.scrape * np.exp(who.scrape + parameters.trials.scrape * rougher),
     )
 
 
-def _receive(touches, p, size):
+def _receive(touches, parameters, size):
     """Film and receptors of a batch of recordings in parallel, then the read-out of each recording.
 
     The recordings are sorted by decreasing length, so that the columns of those that have not ended
@@ -360,22 +366,26 @@ def _receive(touches, p, size):
     for touch, end, span in zip(touches, ends, columns, strict=True):
         signal[1:end, span] = touch.felt
     stretches = [signal[part] for part in _find_stretches(ends, first)]
-    film = Creep(first[-1], STEP_S, p.skin)
+    film = Creep(first[-1], STEP_S, parameters.skin)
     for stretch in stretches:
         film.advance(stretch)
     off, clock = np.empty((2, first[-1]))
     for touch, end, span in zip(touches, ends, columns, strict=True):
         rng = touch.rng
         add_vibration(signal[1:end, span], touch.speed, rng, touch.skin)
-        off[span] = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
-        clock[span] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
+        off[span] = np.exp(
+            parameters.receptor.off + parameters.receptor.off_spread * rng.standard_normal()
+        )
+        clock[span] = np.exp(
+            parameters.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels)))
+        )
     receptors = Receptors(
         signal[0],
-        on=np.full(first[-1], p.receptor.threshold, np.float32),
-        off=(p.receptor.threshold * off).astype(np.float32),
+        on=np.full(first[-1], parameters.receptor.threshold, np.float32),
+        off=(parameters.receptor.threshold * off).astype(np.float32),
         step_s=STEP_S,
-        refractory_s=p.receptor.refractory_s * clock,
-        poll_s=p.receptor.poll_s * clock,
+        refractory_s=parameters.receptor.refractory_s * clock,
+        poll_s=parameters.receptor.poll_s * clock,
     )
     fired = [receptors.advance(stretch) for stretch in stretches]
     time, channel, polarity = map(np.concatenate, zip(*fired, strict=True))
@@ -386,24 +396,24 @@ def _receive(touches, p, size):
     for index, touch, start, part in zip(order, touches, first, parts, strict=False):
         seconds = time[part] + touch.start_s - STEP_S
         written = seconds, touch.taxels[channel[part] - start], polarity[part]
-        events[index] = _read_out(written, touch, p, size)
+        events[index] = _read_out(written, touch, parameters, size)
     return events
 
 
-def _read_out(written, touch, p, size):
+def _read_out(written, touch, parameters, size):
     """The decoder's reports of what the pen and the faults have caused."""
     parts = [written]
     if len(written[0]):
         begin = written[0].min()
         end = written[0].max()
-        refractory_s = p.receptor.refractory_s
+        refractory_s = parameters.receptor.refractory_s
         parts.append(
             draw_spurious_events(
-                touch.rng, touch.session, (begin, end), refractory_s, p.faults, size
+                touch.rng, touch.session, (begin, end), refractory_s, parameters.faults, size
             )
         )
     seconds, taxel, polarity = map(np.concatenate, zip(*parts, strict=True))
-    return aces.make_bursts(1e9 * seconds, taxel, polarity, p.aces)
+    return aces.make_bursts(1e9 * seconds, taxel, polarity, parameters.aces)
 
 
 def _find_stretches(ends, first):

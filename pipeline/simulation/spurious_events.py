@@ -7,7 +7,7 @@ same ones, and not in all sessions.  Other taxels, mostly at the edge, report si
 import numpy as np
 
 
-def draw_spurious_events(rng, session: float, span_s: tuple, refractory_s: float, p, size):
+def draw_spurious_events(rng, session: float, span_s: tuple, refractory_s: float, faults, size):
     """Draw the events of a recording that no pen has caused.
 
     Parameters
@@ -19,7 +19,7 @@ def draw_spurious_events(rng, session: float, span_s: tuple, refractory_s: float
         First and last moment of the recording.
     refractory_s : float
         Shortest interval between two events of a taxel.
-    p : section ``[faults]`` of the parameters
+    faults : section ``[faults]`` of the parameters
     size : (int, int)
         Rows and columns of the skin.
 
@@ -32,25 +32,25 @@ def draw_spurious_events(rng, session: float, span_s: tuple, refractory_s: float
     rows, columns = size
     times = []
     taxels = []
-    for row, column in _draw_hot_taxels(session, p):
-        rate = p.hot_rate * np.exp(p.hot_rate_spread * rng.standard_normal())
+    for row, column in _draw_hot_taxels(session, faults):
+        rate = faults.hot_rate * np.exp(faults.hot_rate_spread * rng.standard_normal())
         if row < rows and column < columns:
-            times.append(_draw_bouts(rng, span_s, rate, refractory_s, p.bout_s))
+            times.append(_draw_bouts(rng, span_s, rate, refractory_s, faults.bout_s))
             taxels.append(np.full(len(times[-1]), rows * column + row))
     hot = sum(map(len, times))
-    strays = rng.poisson(p.strays * np.exp(p.strays_spread * rng.standard_normal()))
+    strays = rng.poisson(faults.strays * np.exp(faults.strays_spread * rng.standard_normal()))
     times.append(rng.uniform(*span_s, strays))
     taxels.append(rng.integers(0, rows * columns, strays))
     time = np.concatenate(times)
     taxel = np.concatenate(taxels).astype(int)
     # A stray is a rise: the taxel does not come back to the threshold of a fall.
-    is_rise = (np.arange(len(time)) >= hot) | (rng.random(len(time)) < p.rise)
+    is_rise = (np.arange(len(time)) >= hot) | (rng.random(len(time)) < faults.rise)
     return time, taxel, np.where(is_rise, 1, -1)
 
 
-def _draw_hot_taxels(session, p):
+def _draw_hot_taxels(session, faults):
     """(row, column) of each hot taxel of a session."""
-    for share, taxels in p.sessions:
+    for share, taxels in faults.sessions:
         if session < share:
             return taxels
         session -= share

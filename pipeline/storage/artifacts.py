@@ -176,7 +176,7 @@ class State:
     ----------
     name : str
         Name of the artifact.
-    state : str
+    condition : str
         `CURRENT`, `OUTDATED` or `MISSING`.
     because : tuple of Change
         The reasons, if it is outdated.
@@ -185,14 +185,24 @@ class State:
     """
 
     name: str
-    state: str
+    condition: str
     because: tuple = ()
     record: dict = field(default_factory=dict)
 
     @property
     def is_current(self) -> bool:
         """True if the artifact need not be made again."""
-        return self.state == CURRENT
+        return self.condition == CURRENT
+
+    @property
+    def is_outdated(self) -> bool:
+        """True if the artifact was made from other settings or contents."""
+        return self.condition == OUTDATED
+
+    @property
+    def is_missing(self) -> bool:
+        """True if the artifact was not made yet, or lacks a file."""
+        return self.condition == MISSING
 
     def describe_reasons(self) -> str:
         """The first reasons why the artifact is outdated, in one line."""
@@ -209,12 +219,12 @@ class State:
             Such as ``"training"``.
         say : callable
         """
-        if self.state == OUTDATED:
+        if self.is_outdated:
             say(f"{self.name}: {action} again: {self.describe_reasons()}")
 
     def to_json(self) -> dict:
         """``name``, ``state`` and ``because``."""
-        return {"name": self.name, "state": self.state, "because": list(map(str, self.because))}
+        return {"name": self.name, "state": self.condition, "because": list(map(str, self.because))}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from pipeline.recordings.recordings import describe_recordings
 from pipeline.recordings.sensor import describe_size, is_st_mnist_sensor
 from pipeline.recordings.splits import PUBLISHED, WRITERS, find_classes_without_test, find_copies
 from pipeline.settings import SIMULATED, read_settings
-from pipeline.storage.artifacts import OUTDATED
 
 # Test recordings below which a user is warned.
 MIN_TEST_RECORDINGS = 10
@@ -108,7 +107,7 @@ def list_replacements(opened) -> Iterator[str]:
 def _has_outdated_networks(opened):
     """True if a step was made of other recordings or settings than the present ones."""
     artifacts = [opened.find_artifact(step.name) for step in opened.kind.steps]
-    return any(artifact.find_state().state == OUTDATED for artifact in artifacts)
+    return any(artifact.find_state().is_outdated for artifact in artifacts)
 
 
 def list_notes_on_recordings(opened) -> Iterator[str]:

@@ -1,6 +1,8 @@
 """The operations and targets of this package conform, and mistakes in new ones are found."""
 
 import json
+import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,7 +18,7 @@ from deploy.network.output import TargetOutput
 from deploy.network.reference import run_reference
 from deploy.targets.registry import REAL_NUMBERS, TARGETS, Target
 from models.conformance import assert_operation_conforms
-from models.ops import OPERATIONS, Convolution, Dense
+from models.ops import OPERATIONS, Convolution, Dense, register_operation
 from tests.deploy.networks import bundle_at
 from tests.test_extensions import DeployedOneToOne, FirstOptions, OneToOne, run_first_class
 
@@ -78,9 +80,32 @@ class OtherLargest(DeployedOneToOne):
         return np.abs(weights).max() * np.ones(len(weights))
 
 
+class TransformWithoutPooling(DeployedOneToOne):
+    def make_transform(self, layer, chip):
+        import nengo
+
+        matrix = np.zeros((layer.size, math.prod(layer.input_shape)))
+        matrix[:, : layer.size] = np.diag(layer.weights)
+        return nengo.Dense(matrix.shape, init=matrix), None
+
+
+class NumberOutsideOfTheFields(DeployedOneToOne):
+    def __init__(self, repeats=1):
+        object.__setattr__(self, "repeats", repeats)
+
+    def compute_sums(self, weights, values):
+        return np.roll(super().compute_sums(weights, values), self.repeats, axis=1)
+
+    @classmethod
+    def from_file(cls, numbers, shape):
+        return cls()
+
+
 @pytest.mark.parametrize(
     ("mistaken", "fact"),
     [
+        (TransformWithoutPooling, "make_transform"),
+        (lambda: NumberOutsideOfTheFields(2), "loses a number"),
         (Squared, "one weight"),
         (Affine, "not linear"),
         (TooFew, "count_fan_out"),
@@ -90,9 +115,42 @@ class OtherLargest(DeployedOneToOne):
     ],
 )
 def test_mistakes_in_an_operation_are_found(mistaken, fact, one_to_one, monkeypatch):
-    monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", mistaken)
+    operation = mistaken()
+    monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", type(operation))
     with pytest.raises((AssertionError, ValueError, UserError), match=fact):
-        assert_deployed_operation_conforms(mistaken(), (4, 4, 1))
+        assert_deployed_operation_conforms(operation, (4, 4, 1))
+
+
+def test_an_operation_that_is_not_registered_is_found(monkeypatch):
+    with pytest.raises(AssertionError, match="not entered in OPERATIONS"):
+        assert_operation_conforms(OneToOne(), (4, 4, 1))
+    monkeypatch.setitem(OPERATIONS, "own", OneToOne)
+    with pytest.raises(AssertionError, match="not entered in DEPLOYED_OPERATIONS"):
+        assert_operation_conforms(OneToOne(), (4, 4, 1))
+
+
+class Misspelt(OneToOne):
+    """Its notation is that of a dense layer."""
+
+    def __str__(self):
+        return "9"
+
+
+@pytest.mark.parametrize("input_shape", [(3, 3, 1), (9,)])
+def test_a_notation_that_is_read_differently_is_found(input_shape, one_to_one):
+    with pytest.raises(AssertionError, match="read differently"):
+        assert_operation_conforms(Misspelt(), input_shape)
+
+
+@pytest.mark.parametrize("token", ["[0-9]+a", "[0-9]+c[0-9]+", "[0-9]+", "[0-9]+o", "2a|own"])
+def test_a_notation_of_other_layers_is_refused(token):
+    class Shadow(OneToOne):
+        """An operation whose notation is that of another layer."""
+
+    Shadow.token = re.compile(token)
+    with pytest.raises(ValueError, match="already"):
+        register_operation(Shadow, DeployedOneToOne)
+    assert "own" not in OPERATIONS
 
 
 # A target without Nengo.

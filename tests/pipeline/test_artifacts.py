@@ -24,9 +24,9 @@ def changed(name, value):
 def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     origin = Origin.from_settings(SETTINGS, ["cnn.epochs", "image"], contents={"recordings": "ab"})
     artifact = Artifact("cnn", tmp_path / "metrics.json", origin, (tmp_path / "weights.npz",))
-    assert artifact.find_state().state == "missing"
+    assert artifact.find_state().condition == "missing"
     artifact.write({"accuracy": 0.5})
-    assert artifact.find_state().state == "missing"  # without its weights
+    assert artifact.find_state().condition == "missing"  # without its weights
     artifact.files[0].write_bytes(b"")
     state = artifact.find_state()
     assert state.is_current
@@ -36,7 +36,7 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
         changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents
     )
     state = replace(artifact, origin=later).find_state()
-    assert (state.state, state.to_json()["because"]) == (
+    assert (state.condition, state.to_json()["because"]) == (
         "outdated",
         ["cnn.epochs changed from automatic (0) to 2"],
     )

@@ -25,12 +25,12 @@ FLOOR_IN_THRESHOLDS = -8
 def record_convention(network: NirNetwork, stepping: Stepping) -> dict:
     """What a graph was recognised as and how it is run, for the bundle's provenance."""
     convention = network.convention
+    has_own_equation = stepping.method == convention.method
+    equation = convention.equation if has_own_equation else stepping.method
     return {
         "framework": convention.framework,
         "recognised_by": convention.evidence,
-        "equation": convention.equation
-        if stepping.method == convention.method
-        else stepping.method,
+        "equation": equation,
         "method": stepping.method,
         "step_seconds": stepping.step_s,
         "reset": stepping.reset,

@@ -21,10 +21,10 @@ READERS = {
     ".mat": read_mat,
     ".npz": read_npz,
     ".npy": read_npy,
-    **dict.fromkeys(csv.SUFFIXES, csv.read_csv),
-    **dict.fromkeys(camera.SUFFIXES, camera.read_camera),
-    **dict.fromkeys(atis.SUFFIXES, atis.read_bin),
-    **dict.fromkeys(hdf5.SUFFIXES, hdf5.read_hdf5),
+    **dict.fromkeys(csv.ENDINGS, csv.read_csv),
+    **dict.fromkeys(camera.ENDINGS, camera.read_camera),
+    **dict.fromkeys(atis.ENDINGS, atis.read_bin),
+    **dict.fromkeys(hdf5.ENDINGS, hdf5.read_hdf5),
 }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.recordings.formats.recording import BadRecording, EventRecording, make_recording
 
-SUFFIXES = (".bin",)
+ENDINGS = (".bin",)
 
 # Bytes of an event: in .bin x, y, polarity (1 bit) and time (23 bits); in .dat time (32 bits), x
 # and y (14 bits each) and polarity.

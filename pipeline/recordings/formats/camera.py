@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from deploy.errors import shorten_error
 from pipeline.recordings.formats.atis import is_old_dat, read_old_dat
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
@@ -18,7 +19,7 @@ from pipeline.recordings.formats.recording import (
     make_recording,
 )
 
-SUFFIXES = (".aedat4", ".raw", ".dat")
+ENDINGS = (".aedat4", ".raw", ".dat")
 
 # The format of iniVation's cameras before .aedat4, which faery does not read either.
 OLD_SUFFIX = ".aedat"
@@ -38,8 +39,8 @@ def read_camera(content: bytes, name: str) -> EventRecording:
     BadRecording
         faery is not installed; or the file is damaged, has too many events or none.
     """
-    suffix = PurePosixPath(name).suffix.lower()
-    if suffix == ".dat" and is_old_dat(content):
+    ending = PurePosixPath(name).suffix.lower()
+    if ending == ".dat" and is_old_dat(content):
         return read_old_dat(content)
     try:
         import faery
@@ -48,7 +49,7 @@ def read_camera(content: bytes, name: str) -> EventRecording:
             "needs the package faery; install it: pip install 'stmnist-loihi[cameras]'"
         ) from error
     with tempfile.TemporaryDirectory() as folder:  # faery opens files by their names only
-        path = Path(folder) / f"recording{suffix}"
+        path = Path(folder) / f"recording{ending}"
         path.write_bytes(content)
         parts = []
         number = 0
@@ -66,9 +67,9 @@ def read_camera(content: bytes, name: str) -> EventRecording:
             # A damaged file may end in a panic of faery's Rust, which is no Exception.
             if isinstance(error, (KeyboardInterrupt, SystemExit, MemoryError)):
                 raise
-            reason = " ".join(str(error).replace(str(path), name).split())[:120]
+            reason = shorten_error(str(error).replace(str(path), name), 120)
             raise BadRecording(
-                f"cannot be read by faery ({reason}); it is damaged, or not a {suffix} file that "
+                f"cannot be read by faery ({reason}); it is damaged, or not a {ending} file that "
                 "faery supports: convert it to .npz with arrays x, y, t and p"
             ) from error
     events = np.concatenate(parts) if parts else np.empty(0, faery.EVENTS_DTYPE)

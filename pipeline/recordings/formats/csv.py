@@ -20,7 +20,7 @@ from pipeline.recordings.formats.recording import (
     make_recording,
 )
 
-SUFFIXES = (".csv", ".txt")
+ENDINGS = (".csv", ".txt")
 
 # Characters with which a remark begins: NumPy's, and Metavision's.
 REMARKS = "#%"

@@ -21,6 +21,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from deploy.errors import shorten_error
 from pipeline.recordings.formats.column_order import make_array_recording
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
@@ -30,7 +31,7 @@ from pipeline.recordings.formats.recording import (
     make_recording,
 )
 
-SUFFIXES = (".h5", ".hdf5")
+ENDINGS = (".h5", ".hdf5")
 
 # Rows and columns of STEMNIST's sensor.
 STEMNIST_SIDE = 16
@@ -81,7 +82,7 @@ def read_hdf5(content: bytes, name: str) -> EventRecording:
     except (BadRecording, MemoryError):
         raise
     except Exception as error:  # h5py fails in many ways on damaged files
-        reason = " ".join(str(error).split())[:120]
+        reason = shorten_error(error, 120)
         raise BadRecording(f"is damaged, or not an HDF5 file ({reason})") from error
     columns = events if isinstance(events, dict) else events.dtype.names or ()
     if TAXEL in columns:

@@ -248,9 +248,8 @@ def make_spiketrain(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
 
 def encode_recording(recording: MatRecording) -> bytes:
     """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
-    variables: dict[
-        str, float | np.ndarray
-    ] = {}  # the events last: a truncated file then has no events
+    # The events come last: a truncated file then has no events.
+    variables: dict[str, float | np.ndarray] = {}
     if recording.simulated:
         variables["simulated"] = 1.0
     if recording.writer >= 0:

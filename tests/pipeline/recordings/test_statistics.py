@@ -61,7 +61,9 @@ def test_another_lookup_table():
 def test_the_one_real_recording(real_recording):
     recording = read_recording(real_recording.read_bytes())
     recordings = join_recordings([recording.events], [0], ["real"], [-1], SOURCE)
-    measures = {name: values[0] for name, values in statistics.measure_samples(recordings).items()}
+    measures = {
+        name: values[0] for name, values in statistics.measure_recordings(recordings).items()
+    }
     assert (measures["on"], measures["off"]) == (745, 1601)
     assert (measures["on_physical"], measures["off_physical"]) == (306, 359)
     # From the array itself, without merging bursts.

@@ -13,7 +13,7 @@ from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.results import compare
 from pipeline.results.compare import (
-    Run,
+    ComparedRun,
     compare_accuracies,
     compare_runs,
     compute_inference,
@@ -49,7 +49,7 @@ def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more
     settings = Settings().with_values(changes or {}, "here")
     origin = find_kind(settings).make_bundle_origin(make_dataset_origin(settings, source))
     spec.provenance["made_from"] = origin.to_json()
-    return Run(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
+    return ComparedRun(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
 
 
 ALL = list(LABELS)
