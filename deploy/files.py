@@ -1,6 +1,6 @@
 """Files: written completely or not at all, hashed, and never executed on reading.
 
-A file is written under a temporary name beside its place, ``.<name>.<random>.tmp``, and renamed.
+A file is written under a temporary name in the same folder, ``.<name>.<random>.tmp``, and renamed.
 A process that is killed can leave such a file, which :func:`remove_leftovers` removes.
 """
 
@@ -70,7 +70,7 @@ WRITE_REMEDY = "check the folder's permissions and the free space"
 
 @contextlib.contextmanager
 def replacing(path, mode="wb"):
-    """Open a temporary file beside ``path`` that takes its place when the block succeeds.
+    """Open a temporary file next to ``path`` that takes its place when the block succeeds.
 
     A symbolic link at ``path`` is itself replaced; the file that it points to is not touched.
 

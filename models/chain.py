@@ -57,10 +57,12 @@ class Link:
         The linear map.
     input_shape : tuple of int
         (rows, columns, channels), or (values,), before pooling.
-    kernel : ndarray, shape (rows, columns, channels in, filters) or (sections * inputs, units)
-        Weights of the values after average pooling, with the axes of training; for neurons in units
-        of their threshold.
-    bias : ndarray, shape (filters,) or (units,)
+    kernel : ndarray
+        Weights of the values after average pooling, for neurons in units of their threshold.  The
+        shape is the operation's `compute_kernel_shape`; that of a dense link in sections is
+        (sections * inputs, units).
+    bias : ndarray
+        Input of each unit, or of each channel of the output, in every step.
     neurons : Neurons, NeuronDecays or None
         Neurons as they are deployed, in seconds; neurons by their decay factors, before they
         are rounded to integers; None for a linear readout on the host.

@@ -251,7 +251,7 @@ def call_with_noise(model: tf.keras.Model, images, noise, masks=()):
     Parameters
     ----------
     model : tf.keras.Model
-        From :func:`build_cnn`.
+        A model that :func:`build_cnn` has returned.
     images : tensor, shape (n_samples, rows, columns, channels)
     noise : sequence of tensors
         One for each layer of :func:`list_noisy_layers`, shape (n_samples, \\*shape of its input);

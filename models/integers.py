@@ -20,9 +20,10 @@ class Integers:
 
     Attributes
     ----------
-    kernel : ndarray of int32, shape (rows, columns, channels in, filters) or (inputs, units)
-        The weights.
-    bias : ndarray of int32, shape (filters,) or (units,)
+    kernel : ndarray of int32
+        The weights of the layer, in the shape of :attr:`models.chain.Link.kernel`.
+    bias : ndarray of int32
+        The bias of the layer, in the shape of :attr:`models.chain.Link.bias`.
     threshold, floor : int
     keep_u_4096ths, keep_v_4096ths : int
         Remaining share of current and voltage after a step, in the chip's ``decay_unit``.

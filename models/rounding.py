@@ -51,7 +51,7 @@ def round_chain(
     height : float
         Area of an input spike in units of the chip's time step.
     synapses_per_weight : int
-        Of recurrent links; 0: two where they fit on a core.
+        Number of synapses for a weight of recurrent links; 0: two where they fit on a core.
     chip : Chip
 
     Returns
@@ -271,7 +271,7 @@ def _choose_scale(link, largest, levels, unit, chip):
     Raises
     ------
     UserError
-        The largest weight is 0, or too large beside the threshold.
+        The largest weight is 0, or too large in comparison with the threshold.
     """
     if largest == 0:
         raise UserError(f"{link}: all its weights are 0; train it, or leave it out")

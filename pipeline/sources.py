@@ -186,7 +186,7 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     counts : sequence of 10 int
         Recordings of each digit.
     jobs : int
-        Processes.
+        Number of processes.
     **how
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
     """

@@ -61,6 +61,22 @@ def list_parameters(node):
     return {one.arg for one in every}
 
 
+def list_attributes(node):
+    """Fields, methods, properties, and attributes that a method sets, of a class."""
+    names = list_parameters(node)
+    for one in ast.walk(node):
+        if isinstance(one, ast.FunctionDef):
+            names.add(one.name)
+        elif isinstance(one, ast.Name | ast.Attribute) and isinstance(one.ctx, ast.Store):
+            names.add(one.id if isinstance(one, ast.Name) else one.attr)
+    return names
+
+
+def is_dataclass(node):
+    """Whether a class has the decorator of dataclasses."""
+    return any("dataclass" in ast.unparse(one) for one in node.decorator_list)
+
+
 def find_wrong_entries(tree, known):
     """Lines, names and types of docstrings that the code does not have."""
     known = known | find_names(tree) | OTHERS | set(dir(builtins))
@@ -73,6 +89,11 @@ def find_wrong_entries(tree, known):
             inherits = isinstance(node, ast.ClassDef) and node.bases
             if not inherits and not set(names) <= own:
                 yield f"{node.lineno}: {node.name} has no parameter {', '.join(names)}"
+        if isinstance(node, ast.ClassDef) and is_dataclass(node) and not node.bases:
+            has = list_attributes(node)
+            for names, _ in read_entries(docstring, "Attributes"):
+                if not set(names) <= has:
+                    yield f"{node.lineno}: {node.name} has no attribute {', '.join(names)}"
         for section in ("Parameters", "Attributes", "Returns", "Yields", "Raises"):
             for names, kind in read_entries(docstring, section):
                 # A type alone is the whole line in Returns and Raises.
@@ -131,6 +152,24 @@ def move(way):
 '''
     wrong = list(find_wrong_entries(ast.parse(source), {"Motion"}))
     assert len(wrong) == 2
+
+
+def test_an_attribute_that_is_gone_is_found():
+    source = '''
+@dataclass(frozen=True)
+class Motion:
+    """A motion.
+
+    Attributes
+    ----------
+    time_s : ndarray
+    down : ndarray
+    """
+
+    time_s: np.ndarray
+'''
+    (wrong,) = find_wrong_entries(ast.parse(source), {"Motion"})
+    assert "no attribute down" in wrong
 
 
 @pytest.mark.parametrize("package", ["deploy", "experiments", "models", "pipeline", "stmnist"])

@@ -50,7 +50,7 @@ NETWORK_SCHEMA = "stmnist-bundle/3"
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
-# The file of settings beside the bundle of a run.
+# The file of settings next to the bundle of a run.
 RUN_SETTINGS = "experiment.toml"
 # More bytes than the headers of the arrays of ``checks.npz``.
 MAX_HEADER_BYTES = 1 << 12

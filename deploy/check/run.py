@@ -67,7 +67,7 @@ def run_check(
 ) -> dict:
     """Run a target on the bundle's samples and write the result.
 
-    After each stream its responses are appended to ``.<name>.partial`` beside the result; an
+    After each stream its responses are appended to ``.<name>.partial`` next to the result; an
     interrupted run resumes with the next stream.  (A sample's response depends on the previous
     samples of its stream, so an interrupted stream is repeated from its start.)
 

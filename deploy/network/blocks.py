@@ -77,7 +77,7 @@ def choose_block(layer, after=None, after_block=None, chip: Chip = LOIHI) -> Tup
     after : deploy.network.layer.Layer, optional
         The next layer on the chip, which receives its spikes.
     after_block : tuple of int, optional
-        Its block.
+        Lengths of the blocks of the layer after.
     chip : Chip
 
     Returns

@@ -15,7 +15,7 @@ def list_windows(n: int, size: int, stride: int = 1, padding: str = "valid"):
     n : int
         Number of values along the dimension.
     size, stride : int
-        Of the windows.
+        Length of a window, and distance from one to the next.
     padding : str
         ``"valid"``; ``"same"``: ceil(n / stride) windows, which takes max((ceil(n / stride) - 1)
         stride + size - n, 0) zeros, half of them before the values, rounded down (as TensorFlow and
@@ -80,7 +80,7 @@ def sum_windows(values, size: int) -> np.ndarray:
     Parameters
     ----------
     values : ndarray, shape (n, rows, columns, channels)
-        Of any shape if ``size`` is 1.
+        The values may have any shape if ``size`` is 1.
     size : int
         Side length of the squares; incomplete ones at the end are dropped.
 

@@ -97,7 +97,7 @@ def derive_equations(layer: Layer, area: float) -> NeuronEquations:
     Parameters
     ----------
     layer : Layer
-        With neurons.
+        A layer with neurons.
     area : float
         Area of a spike that arrives: the stimulus's, or the amplitude of the layer before.
     """
@@ -232,9 +232,9 @@ def read_out(layer: Layer, spikes: np.ndarray, area: float) -> np.ndarray:
     Parameters
     ----------
     layer : Layer
-        Without neurons.
+        A layer without neurons.
     spikes : ndarray, shape (steps, inputs)
-        Of the layer before.
+        Spikes of the layer before.
     area : float
         Area of one of them.
 

@@ -86,7 +86,7 @@ def split_weights(
     step : float
         Step of the fine synapse.
     synapses : int
-        2 or more.
+        Number of synapses for a weight, 2 or more.
     chip : Chip
     """
     in_steps = weights / step

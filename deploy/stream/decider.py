@@ -17,7 +17,7 @@ class Verdict(NamedTuple):
     Attributes
     ----------
     number : int
-        Of the class.
+        Number of the class.
     probability : float or None
         None without an estimate.
     n_steps : int

@@ -111,7 +111,7 @@ class PresentingNetwork:
         Parameters
         ----------
         presentation : TouchPresentation
-            From :meth:`begin`.
+            The presentation that :meth:`begin` has returned.
         frames : ndarray of uint8, shape (steps, size)
             1 where a taxel and polarity has an event; changed to what remains with the refractory
             period and the maximum number of spikes.

@@ -70,7 +70,7 @@ class WindowMeans:
     Attributes
     ----------
     size, strides : tuple of int
-        Of the windows along rows and columns.
+        Lengths of the windows along rows and columns, and distances between them.
     affine : (ndarray, ndarray)
         Scale and offset of each channel.
     map : scipy.sparse.csr_array

@@ -18,9 +18,9 @@ class KerasLayer(NamedTuple):
         Name of its class.
     name : str
     config : dict
-        Its arguments.
+        The arguments of the layer.
     arrays : tuple of ndarray
-        In Keras's order.
+        The trained arrays, in Keras's order.
     """
 
     kind: str

@@ -106,7 +106,7 @@ def _pad_without_offset(converter, layer, scale, offset):
 
 
 def _reads_padding(window, image, counts) -> bool:
-    """True if windows read zeros beside the image."""
+    """True if windows read zeros outside of the image."""
     if any(window.before):
         return True
     reach = window.kernel.shape[2:]

@@ -101,7 +101,7 @@ def recognise(nodes, metadata: dict) -> Convention:
     ----------
     nodes : sequence of models.nir.nodes.Node
     metadata : dict
-        Of the graph.
+        The metadata of the graph.
     """
     states = [node for node in nodes if "r" in node.parameters]
     convention = recognise_metadata(states, metadata) or recognise_reset_free(nodes)

@@ -125,7 +125,7 @@ class Operation(NotatedLayer, DeployedOperation):
         Parameters
         ----------
         kernel : ndarray
-            Of a readout, those of all sections along the first axis.
+            The trained kernel; that of a readout has all sections along the first axis.
         n_sections : int
         """
         return kernel

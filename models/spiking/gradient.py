@@ -109,7 +109,7 @@ class Result(NamedTuple):
     right : int
         Number of samples whose largest output at the end is that of their label.
     operations : float
-        Synaptic operations.
+        Number of synaptic operations.
     gradients : dict of str to ndarray
         By the names of the variables of a :class:`models.spiking.network.SpikingNetwork`.
     """
@@ -169,9 +169,9 @@ class SpikingGradient:
         Returns
         -------
         outputs : ndarray of float32, shape (samples, steps, classes)
-            After every step.
+            The outputs after every step.
         operations : ndarray of float, shape (samples,)
-            Synaptic operations.
+            Number of synaptic operations of each sample.
         rates : list of ndarray, each of shape (samples, neurons)
             Number of spikes of each neuron of each layer.
         """
@@ -335,9 +335,9 @@ class _ForwardPass(NamedTuple):
     Attributes
     ----------
     spikes : list of ndarray
-        Of the input, and of each layer.
+        Spikes of the input, and of each layer.
     currents, voltages : list of ndarray
-        Of each layer.
+        Currents and voltages of each layer.
     outputs : ndarray, shape (samples, steps, classes)
     """
 

@@ -79,7 +79,7 @@ class LadderRow:
     accuracy_ci95 : tuple of float
         Wilson's interval.
     change : float or None
-        Of the accuracy from the row above.
+        Change of the accuracy from the row above.
     disagreements : int or None
         Number of samples with another prediction than in the row above.
     mcnemar_p : float or None

@@ -46,7 +46,7 @@ from pipeline.workflow.target_check import TargetCheck
 # Source of the settings in the messages of errors.
 ORIGIN = "Run"
 
-# File beside the folder of a run for recordings that were given in memory.
+# File next to the folder of a run for recordings that were given in memory.
 RECORDINGS_ENDING = ".recordings.zip"
 
 
@@ -62,7 +62,7 @@ class Run:
         Folder of the run, new or existing; an existing run keeps its settings.
     data : path-like or Recordings, optional
         Recordings: a zip or folder; default: those of the run, or simulated ones.  Recordings in
-        memory are written beside the folder.
+        memory are written next to the folder.
     input : str, optional
         ``"image"``, ``"slices"`` or ``"events"``; default: as the run, or images.
     jobs : int

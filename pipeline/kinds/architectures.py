@@ -129,7 +129,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
     Parameters
     ----------
     text : str
-        Its architecture.
+        The architecture in its notation.
     on_events : bool
         Whether its input is events, not images.
     deployment : pipeline.settings.groups.Deployment

@@ -49,7 +49,7 @@ def compare_layer(layer: str, rates, activations, max_rate: float, tau_ref: floa
     Parameters
     ----------
     layer : str
-        Its name.
+        Name of the layer.
     rates : ndarray, shape (n_samples, n_neurons)
         Rates on the chip, in spikes per second.
     activations : ndarray, shape (n_samples, n_neurons)

@@ -21,7 +21,7 @@ class ImportedNetwork(NamedTuple):
     ----------
     file : str
     sha256 : str
-        Of its content when it was imported.
+        SHA-256 of the file's content when it was imported.
     step : str
         Name of the step that reads it.
     remedy : str
@@ -47,9 +47,9 @@ class ImportedNetwork(NamedTuple):
         Parameters
         ----------
         state : State
-            Of the step that reads the file.
+            State of the step that reads the file.
         seed : int
-            Of the split.
+            Seed of the split.
         """
         changed = [change.name for change in state.because]
         if state.is_missing:

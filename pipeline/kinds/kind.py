@@ -57,7 +57,7 @@ class NetworkKind:
     # The reference stages with which the deployed network is compared, before the deployed stage:
     # the first of them that the ladder has.
     compared_stages: ClassVar[tuple] = ()
-    # Settings that the bundle depends on, besides those of presentation and check.
+    # Settings that the bundle depends on, in addition to those of presentation and check.
     bundle_settings: ClassVar[tuple] = ()
     # Group of settings with the architecture; empty if the user's file determines it.
     settings_group: ClassVar[str] = ""

@@ -202,7 +202,7 @@ def count_silent_steps(tau_current: float, share: float = MAX_SHARE_LEFT) -> int
     tau_current : float
         Time constant of the current in steps.
     share : float
-        In thresholds.
+        What may still be added to the voltage, in thresholds.
 
     Returns
     -------

@@ -26,8 +26,8 @@ class Step:
     files : tuple of str
         Names of its files, beginning with that of the record, which is written last.
     reads : tuple of str
-        Settings and groups of settings that are read to make it, besides those of the steps that it
-        uses.
+        Settings and groups of settings that are read to make it, in addition to those of the steps
+        that it uses.
     make : callable
         ``make(inputs, artifact)`` writes the files into ``artifact.folder`` and returns the content
         of the record; ``inputs`` is a :class:`StepInputs`.

@@ -86,7 +86,7 @@ class Verdict(NamedTuple):
     ----------
     label : int
     confidence : float
-        At that time.
+        The confidence at that time.
     seconds : float
         Time from the start of the recording.
     early : bool

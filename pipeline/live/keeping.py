@@ -34,7 +34,7 @@ WRITER_LIMIT = 1000
 # Number with which every page begins, until a writer is chosen there.
 FIRST_WRITER = 1
 
-# Position of each taxel, beside the classes' folders.
+# Position of each taxel, in the folder that has the classes' folders.
 TABLE = "LUT.mat"
 
 LOCK = ".lock"

@@ -365,7 +365,7 @@ class Server(uvicorn.Server):
     ----------
     live : Live
     listening : socket.socket
-        From :func:`listen`.
+        The socket that :func:`listen` has returned.
     when_listening : callable, optional
         Called with the page's address.
     host : str

@@ -63,7 +63,7 @@ def import_recordings(
     skip_bad : bool
         True to leave out files that cannot be read instead of stopping.
     jobs : int
-        Processes.
+        Number of processes.
     warn : callable, optional
         Called with one line for each remark, warning, and file that was left out.
     reading : ReadingOptions

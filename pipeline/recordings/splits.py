@@ -27,7 +27,7 @@ class Split:
     Attributes
     ----------
     train : ndarray of int
-        In increasing order.
+        Indices of the recordings, in increasing order.
     validation, test : ndarray of int
         In random order: recordings are sorted by digit, and a network whose state is not reset
         between samples has a higher accuracy if both have the same label.  Settings are chosen
@@ -333,7 +333,7 @@ def hold_out(train: np.ndarray, seed: int):
     Returns
     -------
     train, held_out : ndarray of int
-        In increasing order.
+        Indices of the recordings, in increasing order.
     """
     order = np.random.default_rng([seed, 0x4E1D]).permutation(train)
     count = max(1, round(HELD_OUT * len(order)))

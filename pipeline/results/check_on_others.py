@@ -58,13 +58,13 @@ def check_on_others(
     faults : FaultCounts, optional
         Faulty taxels in each recording.
     out : Path, optional
-        Default: a file beside the bundle, one for each set of recordings.
+        Default: a file next to the bundle, one for each set of recordings.
 
     Returns
     -------
     result : dict
     path : Path
-        Its file.
+        The file of the result.
 
     Raises
     ------

@@ -105,7 +105,7 @@ def add_faults_to_check(
 
 
 def find_fault_path(path: Path, counts: FaultCounts) -> Path:
-    """The file of a result with faults, beside that of the result without."""
+    """The file of a result with faults, in the same folder as that of the result without."""
     return path.with_name(f"{path.stem}-{counts}.json")
 
 

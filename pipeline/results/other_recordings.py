@@ -86,7 +86,7 @@ def read_recordings_for(
     settings : Settings
         From :func:`find_settings_around`, for reading files.
     jobs : int
-        Processes.
+        Number of processes.
     warn : callable, optional
         Called with a line for each file that was left out.
     labelled : bool
@@ -380,7 +380,7 @@ def _measure_accuracy(right, chosen):
 
 
 def find_result_path(bundle: Bundle, recordings: Recordings, n_samples: int, target: str) -> Path:
-    """The file of such a result: beside the bundle, one for each set of recordings."""
+    """The file of such a result: next to the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
     file = f"{name}-{recordings.source.sha256[:8]}-{n_samples}-{target}.json"
     return find_checks_folder(bundle.path) / FOLDER / file

@@ -41,7 +41,7 @@ def restrict(section: SettingsGroup, kept: set, prefix: str = "") -> SettingsGro
     ----------
     section : SettingsGroup
     kept : set of str
-        Dotted names.
+        Dotted names of the settings that are kept.
     prefix : str
         What stands before the names in this group, such as ``"cnn."``.
     """

@@ -31,7 +31,7 @@ class Choice:
     Attributes
     ----------
     setting : str
-        Its dotted name.
+        Dotted name of the setting.
     value
     reason : str
         A line for the user; empty if the line of another choice says it too.

@@ -13,7 +13,7 @@ def set_nested(values: dict, name: str, value, origin: str):
     values : dict
         As :meth:`pipeline.settings.schema.Settings.with_values` takes them.
     name : str
-        Dotted.
+        The dotted name.
     value
     origin : str
         For the error's line.

@@ -43,7 +43,7 @@ class Motion:
     Attributes
     ----------
     time_s : ndarray of float, shape (n,)
-        Evenly spaced.
+        Times, evenly spaced.
     down, right : ndarrays of float, shape (n,)
         Position of the tip in taxels: 0 is the centre of the first row or column of taxels.
     force : ndarray of float, shape (n,)

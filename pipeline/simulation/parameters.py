@@ -151,7 +151,7 @@ def from_fit(
     people : int
         Number of writers.
     tablet : float
-        This share.
+        Share of the digits that are written as people write on a tablet.
     reversed_share : float
         Share of the people who draw a 0 or an 8 from its end to its beginning.
     """

@@ -102,7 +102,7 @@ def simulate(
     samples_per_digit : sequence of 10 int, optional
         Default: as published, :data:`pipeline.paper.SAMPLES_PER_DIGIT`.
     jobs : int
-        Processes.
+        Number of processes.
     advance : callable, optional
         Called with the number of recordings finished since the last call.
     parameters : pipeline.simulation.parameters.Parameters, optional

@@ -26,7 +26,7 @@ def choose_epochs(n_samples: int, batch_size: int) -> int:
     n_samples : int
         Number of training samples.
     batch_size : int
-        Samples per update.
+        Number of samples of an update.
     """
     batches = divide_up(max(n_samples, 1), batch_size)
     updates = max(MIN_UPDATES, UPDATES_BY_ROOT_OF_SAMPLES * math.sqrt(n_samples))

@@ -30,7 +30,7 @@ class OpenedRun:
     Attributes
     ----------
     store : RunFolder or Library
-        Has the artifacts.
+        The store of the artifacts.
     settings : Settings
         With all that was chosen for the recordings.
     dataset : Dataset
@@ -136,7 +136,7 @@ def open_run(
     Parameters
     ----------
     run : RunFolder
-        Locked.
+        The run, which is locked.
     settings : Settings
         What the user has set; values with their defaults are chosen for the recordings.
     jobs : int

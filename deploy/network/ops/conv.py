@@ -258,7 +258,7 @@ class _Line(NamedTuple):
     n : int
         Number of inputs.
     kernel_size, stride : int
-        Of the windows.
+        Length of a window, and distance from one to the next.
     before : int
         Zeros before the first input.
     """

@@ -59,7 +59,7 @@ class EventSamples(NamedTuple):
         Events of all samples of the dataset.
     labels : ndarray of int, shape (n_samples,)
     train, held_out : ndarray of int
-        Indices.
+        Indices of the recordings of each of the two sets.
     """
 
     table: EventTable

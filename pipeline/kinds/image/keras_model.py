@@ -157,7 +157,7 @@ def require_better_than_chance(path, model: KerasModel, dataset: Dataset):
     Parameters
     ----------
     path : path-like
-        Its file.
+        The file of the model.
     model : KerasModel
     dataset : Dataset
 

@@ -122,7 +122,7 @@ def make_nir_spec(
     samples : ndarray
         Training samples in the format of the stimulus, on which the scales of weights are chosen.
     synapses_per_weight : int
-        Of recurrent layers; 0: two where they fit on a core.
+        Number of synapses for a weight of recurrent layers; 0: two where they fit on a core.
     """
     readout_steps = range(presentation.readout_start, presentation.steps)
     links = from_nir(network, stepping.step_s, stepping.method, samples.shape[-3:], readout_steps)

@@ -134,7 +134,7 @@ def list_source(path, labelled: bool = True) -> Listing:
 
 
 def _list_file(path):
-    """The listing of one recording, with the tables beside it."""
+    """The listing of one recording, with the tables in the same folder."""
     beside = {entry.name.lower(): entry.name for entry in path.parent.iterdir() if entry.is_file()}
     tables = [beside.get(name) for name in (LOOKUP_TABLE, POSITIONS)]
     return Listing(path.parent, (Entry(path.name, "", ""),), *tables, ())
@@ -195,7 +195,7 @@ def _choose_format(path, members):
 
 
 def _find_empty_classes(entries, folders):
-    """Folders beside those of the classes that have no recording."""
+    """Folders without recordings that are in the same folder as those of the classes."""
     parents = {PurePosixPath(entry.member).parent for entry in entries}
     classes = {
         folder for folder in parents if folder.name.lower() not in PART_OF_FOLDER and folder.name

@@ -71,7 +71,7 @@ def read_source(
     ----------
     path : path-like
     jobs : int
-        Processes.
+        Number of processes.
     skip_bad : bool
         True to continue without refused files; they are in ``source.left_out``.
     progress : callable, optional

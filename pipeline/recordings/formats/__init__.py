@@ -34,7 +34,7 @@ def register_format(ending: str, read):
     Parameters
     ----------
     ending : str
-        Of its files, in lower case, such as ``".events"``.
+        Ending of the format's files, in lower case, such as ``".events"``.
     read : callable
         ``read(content, name)``, as of all formats.
 

@@ -1,6 +1,6 @@
 """Text with a line for each event: four columns, with or without their names in the first line.
 
-Columns are separated by commas, semicolons, tabs or blanks; beside semicolons, a comma is the mark
+Columns are separated by commas, semicolons, tabs or blanks; with semicolons, a comma is the mark
 of decimals.  A polarity may be a word or a sign.
 """
 

@@ -26,7 +26,7 @@ class Interpretation:
     kept : list of int
         Indices of the recordings that fit.
     events : list of Events
-        Their events.
+        Events of each recording that is kept.
     refused : dict of int to str
         Index of each recording that does not fit, and the reason.
     taxels : TaxelMap

@@ -29,7 +29,7 @@ class Strays:
     recordings : tuple of int
         Indices of the recordings that have them.
     n_events : int
-        Their number.
+        Number of these events.
     size : int
         Rows or columns of the sensor without them.
     highest : int

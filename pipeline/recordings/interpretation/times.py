@@ -144,7 +144,7 @@ def to_ns(time: np.ndarray, unit: str, from_first: bool = False) -> np.ndarray:
     Parameters
     ----------
     time : ndarray
-        In order.
+        Times in increasing order.
     unit : str
     from_first : bool
         True for times relative to the first event.

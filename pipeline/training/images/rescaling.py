@@ -29,7 +29,7 @@ def select_measured(images, architecture: Architecture) -> np.ndarray:
     ----------
     images : ndarray, shape (n_samples, ...)
     architecture : Architecture
-        Of the network, which has activations for each of its neurons and each image.
+        Architecture of the network, which has an activation for each of its neurons and each image.
     """
     neurons = max(sum(architecture.neurons.values()), 1)
     return thin(images, min(MAX_MEASURED_SAMPLES, max(MAX_MEASURED_ACTIVATIONS // neurons, 1)))
