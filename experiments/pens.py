@@ -18,7 +18,7 @@ from deploy.tables import align_rows
 from experiments import unipen
 from experiments.results import RESULTS, Store, describe_machine
 from pipeline.commands import options
-from pipeline.live.deciding import Decider, make_decider
+from pipeline.live.deciding import PageDecider, make_decider
 from pipeline.live.network import SHIPPED, find_sensor
 from pipeline.progress import progress
 from pipeline.recordings.sensor import Sensor
@@ -66,12 +66,12 @@ class WrittenDigit:
     is_doubted: bool
 
 
-def write_digit(decider: Decider, sensor: Sensor, trace: Trace, seed, p) -> WrittenDigit:
+def write_digit(decider: PageDecider, sensor: Sensor, trace: Trace, seed, p) -> WrittenDigit:
     """Write a trajectory on the sensor of the page.
 
     Parameters
     ----------
-    decider : Decider
+    decider : PageDecider
     sensor : Sensor
     trace : Trace
     seed : sequence of int
@@ -135,7 +135,7 @@ def draw_traces(traces, each: int, seed: int) -> dict:
     return rows
 
 
-def measure(decider: Decider, sensor: Sensor, rows: dict, seed: int, advance: Callable) -> list:
+def measure(decider: PageDecider, sensor: Sensor, rows: dict, seed: int, advance: Callable) -> list:
     """Write the digits of each row.
 
     Returns

@@ -69,6 +69,20 @@ class EventReader:
         pixel = y.astype(np.int64) * self._columns + x.astype(np.int64)
         return time_ns, 2 * pixel + ~is_on
 
+    def find_cell(self, x, y, p):
+        """The cell of one event with the rules of :meth:`read`, in the shortest time.
+
+        Returns
+        -------
+        int or None
+            None if the event is outside the sensor, or of another polarity.
+        """
+        inside = 0 <= x < self._columns and 0 <= y < self._rows
+        is_on = p == 1
+        if not inside or not (is_on or (self._has_off and p in (0, -1))):
+            return None
+        return 2 * (int(y) * self._columns + int(x)) + (not is_on)
+
     def convert_to_ns(self, t):
         """Times as int64 nanoseconds, and which of them are numbers in the range."""
         t = np.asarray(t)

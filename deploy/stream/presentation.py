@@ -119,18 +119,17 @@ class PresentingNetwork:
         gap = self._spec.presentation.gap
         for first in range(0, len(frames), MAX_STEPS_AT_ONCE):
             next_frames = frames[first : first + MAX_STEPS_AT_ONCE]
-            self._thin(next_frames, presentation.n_steps)
+            self._apply_limits(next_frames, presentation.n_steps)
             output = self._compute(next_frames, presentation, gap + presentation.n_steps)
             presentation.readout.append(output)
 
-    def _thin(self, frames, step):
+    def _apply_limits(self, frames, first_step):
         """Remove spikes that the stimulus leaves out; see `deploy.network.stimulus`."""
-        for frame in frames:
+        for step, frame in enumerate(frames, first_step):
             if frame.any():
                 frame *= (self._ready <= step) & (self._n_spikes < self._max_spikes)
                 self._ready[frame != 0] = step + 1 + self._refractory_steps
                 self._n_spikes += frame != 0
-            step += 1
 
     def _compute(self, frames, presentation, row):
         """Output of the readout in some steps; records the spikes from a row on."""

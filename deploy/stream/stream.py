@@ -101,14 +101,13 @@ class Stream:
         self._unit = unit
         self._tick_ns = UNIT_NS[unit]
         self._steps = TouchSteps(spec, longest)
-        self._rows, self._columns = spec.input_shape[:2]
-        self._has_off = spec.provenance.get("polarities", 2) == 2
+        has_off = spec.provenance.get("polarities", 2) == 2
         names = spec.provenance.get("classes") or range(spec.layers[-1].size)
         self.classes = tuple(map(str, names))
         self._silence_ns = 1e9 * self.silence
         self._faults = Faults()
         self._clock = SensorClock(self._silence_ns, self._faults)
-        self._reader = EventReader(spec.input_shape, self._has_off, self._tick_ns, self._faults)
+        self._reader = EventReader(spec.input_shape, has_off, self._tick_ns, self._faults)
         if network is None:
             network = SharedNetwork(Emulation(spec, bundle.seed))
         if stream_length is None:
@@ -277,15 +276,13 @@ class Stream:
             time_ns = self._clock.to_stream_time(sensor_ns)
             is_next = self._clock.is_next(time_ns)
             is_present = time_ns < self._steps.find_certain_end_ns(touch)
-            inside = 0 <= x < self._columns and 0 <= y < self._rows
-            is_on = p == 1
-            has_polarity = is_on or (self._has_off and p in (0, -1))
+            cell = self._reader.find_cell(x, y, p)
         except (TypeError, ValueError, OverflowError):
             return False
         is_presented = steps < self._steps.longest and is_present and is_next
-        if not (is_presented and inside and has_polarity):
+        if cell is None or not is_presented:
             return False
-        self._decider.present_now(touch, 2 * (int(y) * self._columns + int(x)) + (not is_on))
+        self._decider.present_now(touch, cell)
         touch.last_ns = time_ns
         self._clock.note(time_ns)
         self._note_arrival(sensor_ns)

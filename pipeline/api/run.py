@@ -217,7 +217,9 @@ class Run:
         strict : bool
             With ``nir``: refuse a graph that was trained with another reset than the chip's.
         """
-        imported = workflow.ImportRequest(model, nir, step, retrain, strict)
+        imported = workflow.ImportRequest(
+            model=model, nir=nir, step_ms=step, retrain=retrain, strict=strict
+        )
         changes = imported.make_settings(self._user_settings, self._input, self._folder)
         changes = merge_values(changes, self._changes)  # what the user has set wins
         self._user_settings = self._user_settings.with_values(changes, ORIGIN)

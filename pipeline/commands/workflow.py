@@ -58,7 +58,9 @@ def convert(  # noqa: PLR0913 - each is an option of the command
     """
     from pipeline import workflow
 
-    imported = workflow.ImportRequest(model, nir, step, retrain, strict, prefix="--")
+    imported = workflow.ImportRequest(
+        model=model, nir=nir, step_ms=step, retrain=retrain, strict=strict, prefix="--"
+    )
     changes = {}
     if model is not None or nir is not None:
         require_run_or_new_folder(run)

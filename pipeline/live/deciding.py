@@ -1,7 +1,7 @@
 """Decisions of the network on the events received so far.
 
-A :class:`Decider` is made once from a bundle and answers for all pages; the state of one recording
-between two answers is in the object that :meth:`Decider.begin` returns.
+A :class:`PageDecider` is made once from a bundle and answers for all pages; the state of one
+recording between two answers is in the object that :meth:`PageDecider.begin` returns.
 """
 
 from __future__ import annotations
@@ -64,22 +64,22 @@ class Curve:
     classes: np.ndarray
     shares: np.ndarray
 
-    def find_first(self, threshold: float | None, until_s: float = np.inf) -> Verdict | None:
+    def find_first(self, threshold: float | None, until_s: float = np.inf) -> PageVerdict | None:
         """The early decision up to a time, or None if there is none."""
         is_sure = self.values >= (np.inf if threshold is None else threshold)
         reached = np.flatnonzero(is_sure & (self.seconds <= until_s))
         return self._make_verdict(reached[0], True) if len(reached) else None
 
-    def find_last(self) -> Verdict:
+    def find_last(self) -> PageVerdict:
         """The answer at the end."""
         return self._make_verdict(-1)
 
     def _make_verdict(self, index, early=False):
         at = float(self.seconds[index])
-        return Verdict(int(self.classes[index]), float(self.values[index]), at, early)
+        return PageVerdict(int(self.classes[index]), float(self.values[index]), at, early)
 
 
-class Verdict(NamedTuple):
+class PageVerdict(NamedTuple):
     """The answer that counts: an early decision, or else the answer at the end, as in a check.
 
     Attributes
@@ -110,7 +110,7 @@ class NetworkOutput:
         (`numpy.packbits`).
     curve : Curve
         Its last values are the present ones.
-    decided : Verdict or None
+    decided : PageVerdict or None
         The network's early decision, if there is one.
     exceeds_training : bool
         True if the recording is longer than the samples of the training, on which confidence is
@@ -120,11 +120,11 @@ class NetworkOutput:
     scores: np.ndarray
     spikes: dict
     curve: Curve
-    decided: Verdict | None = None
+    decided: PageVerdict | None = None
     exceeds_training: bool = False
 
 
-class Decider:
+class PageDecider:
     """A network on the target ``fast``, ready to run; the common part of both kinds.
 
     Attributes
@@ -162,7 +162,7 @@ class Decider:
         self.layers = {n: sizes[n] for n in spec.spiking_layers if sizes[n] <= MAX_DRAWN_NEURONS}
 
 
-class ImageDecider(Decider):
+class ImageDecider(PageDecider):
     """A decider for a bundle on images: each answer presents the image so far, from rest.
 
     Making a decider takes a few seconds, and about five more the first time on a machine, when the
@@ -224,7 +224,7 @@ class ImageDecider(Decider):
         return responses.scores[0], spikes, compute_running_sums(spec, output)[0]
 
 
-class EventDecider(Decider):
+class EventDecider(PageDecider):
     """A decider for a bundle on events: each recording is a touch of a stream.
 
     Parameters
@@ -334,7 +334,7 @@ class TouchDecider:
         return self._decider.describe(self._stream)
 
 
-def make_decider(bundle: Bundle, sensor: Sensor) -> Decider:
+def make_decider(bundle: Bundle, sensor: Sensor) -> PageDecider:
     """The decider for a bundle; compiles the emulator if necessary."""
     if isinstance(bundle.spec.stimulus, EventFrames):
         return EventDecider(bundle, sensor)

@@ -32,7 +32,7 @@ class OpenRecording:
     begun_ms : float
         Time of the first touch on the page's clock.
     deciding : object
-        From ``Decider.begin``: answers for this recording.
+        From ``PageDecider.begin``: answers for this recording.
     writing : Writing or ReplayedTouch
     writer : int
         Who writes it, also if another writer is chosen before it is saved.
@@ -49,7 +49,7 @@ class OpenRecording:
         The last point of the pen.
     output : NetworkOutput or None
         The latest output of the network.
-    verdict : Verdict or None
+    verdict : PageVerdict or None
         The decision that counts, once there is one.
     saved_as : pipeline.live.keeping.SavedRecording or None
         Its file; None before it is saved, and after that was undone.

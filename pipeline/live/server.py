@@ -118,7 +118,7 @@ class Live:
     Parameters
     ----------
     make_decider : callable
-        Returns the :class:`~pipeline.live.deciding.Decider`; may take long.
+        Returns the :class:`~pipeline.live.deciding.PageDecider`; may take long.
     keeper : Keeper
     p : pipeline.simulation.parameters.Parameters
     about : dict

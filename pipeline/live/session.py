@@ -7,7 +7,7 @@ time is an argument.
 import math
 
 from deploy.errors import UserError, describe_error
-from pipeline.live.deciding import Decider
+from pipeline.live.deciding import PageDecider
 from pipeline.live.examples import Examples, ReplayedTouch
 from pipeline.live.keeping import FIRST_WRITER, WRITER_LIMIT, Keeper
 from pipeline.live.messages import (
@@ -41,14 +41,14 @@ class Session:
         self._number = number
         self._keeper = keeper
         self._p = p
-        self._decider: Decider | None = None
+        self._decider: PageDecider | None = None
         self._examples: Examples | None = None
         self._sensor = keeper.sensor
         self._recordings = 0
         self._writer = FIRST_WRITER
         self.recording = None
 
-    def begin(self, decider: Decider):
+    def begin(self, decider: PageDecider):
         """Set the decider, once it is ready."""
         self._decider = decider
 
