@@ -111,7 +111,7 @@ def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, ca
     assert call("train", folder, "--input", "image", "--set", "cnn.epochs=1") == 0
     said = capsys.readouterr().err
     assert (folder / "cnn" / "weights.npz").exists()
-    assert "of the kind 'events'" in said
+    assert "'events' is replaced by 'image'" in said
     states = {each["name"]: each["state"] for each in _artifacts(folder, capsys)}
     assert (states["cnn"], states["rate-lif"], states["bundle"]) == (
         "current",
@@ -119,7 +119,7 @@ def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, ca
         "outdated",
     )
     assert call("train", folder) == 0
-    assert "of the kind" not in capsys.readouterr().err
+    assert "is replaced by" not in capsys.readouterr().err
 
 
 def _artifacts(folder, capsys):

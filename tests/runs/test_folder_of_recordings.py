@@ -237,7 +237,7 @@ def test_the_report_has_the_user_s_words(folder):
             assert word not in page
         assert f"<title>own: {folder / kind}</title>" in page
         assert page.count('<details class="sample"') >= 2
-        assert page.index(">wrong</b>") < page.index(">right</b>")
+        assert page.index(">wrong</b>") < page.index(">correct</b>")
         assert page.count('class="confusion"') == 1
 
 
