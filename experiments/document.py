@@ -29,6 +29,7 @@ from experiments import (
     fidelity,
     growth,
     licences,
+    pens,
     speed,
     stream,
     study_tables,
@@ -143,6 +144,8 @@ def make_part(name: str) -> str:
         return make_markdown(transfer.make_cells(content))
     if kind == "speed":
         return make_markdown(speed.make_cells(content))
+    if kind == "pens":
+        return make_markdown(pens.make_cells(content))
     if kind == "stream":
         return make_markdown(stream.make_cells(content))
     if kind == "growth":

@@ -167,7 +167,7 @@ def measure(decider: PageDecider, sensor: Sensor, rows: dict, seed: int, advance
 
 def make_cells(result: dict) -> list:
     """The table of a result, and the sum of the digits that are not reversed."""
-    heads = ["digit", "written", "right", f"wrong, above {SURE:.0%} sure"]
+    heads = ["digit", "written", "right", f"wrong, above {100 * SURE:.0f} % sure"]
     counts = ("written", "right", "wrong_and_sure")
     rows = [[row["name"], *(str(row[count]) for count in counts)] for row in result["rows"]]
     as_written = [row for row in result["rows"] if row["name"].isdigit()]
