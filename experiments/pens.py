@@ -42,6 +42,9 @@ DOT_S = 0.05
 # Digits that some people draw from the end to the beginning, each as a row of its own.
 REVERSIBLE = (0, 8)
 
+# Numbers of a row of the result.
+COUNTS = ("written", "right", "wrong_and_sure")
+
 # Confidence from which a wrong decision counts as one of which the network was sure.
 SURE = 0.95
 
@@ -88,7 +91,6 @@ def write_digit(decider: PageDecider, sensor: Sensor, trace: Trace, seed, p) -> 
     points = make_points(trace, rng, size)
     for point in points:
         writing.add_point(point)
-    writing.advance(points[-1].time_s)  # the pen's last lift is known from here on
     writing.advance(writing.settled_s)
     output = decider.begin().compute_output(writing.events, np.inf)
     if output is None:
@@ -168,11 +170,15 @@ def measure(decider: PageDecider, sensor: Sensor, rows: dict, seed: int, advance
 def make_cells(result: dict) -> list:
     """The table of a result, and the sum of the digits that are not reversed."""
     heads = ["digit", "written", "right", f"wrong, above {100 * SURE:.0f} % sure"]
-    counts = ("written", "right", "wrong_and_sure")
-    rows = [[row["name"], *(str(row[count]) for count in counts)] for row in result["rows"]]
-    as_written = [row for row in result["rows"] if row["name"].isdigit()]
-    sums = [str(sum(row[count] for row in as_written)) for count in counts]
-    return [heads, *rows, ["all as written", *sums]]
+    cells = [heads]
+    as_written = np.zeros(len(COUNTS), int)
+    for row in result["rows"]:
+        counts = [row[count] for count in COUNTS]
+        cells.append([row["name"], *map(str, counts)])
+        if row["name"].isdigit():
+            as_written += counts
+    cells.append(["all as written", *map(str, as_written)])
+    return cells
 
 
 def main(

@@ -153,7 +153,7 @@ def call_in_processes(calls, processes: int, in_order: bool = True):
 
 
 def _list_worker_options() -> dict:
-    """What joblib's workers do first: load the plugins, and bind the packages of ``stmnist``."""
+    """Load the plugins and bind the packages of ``stmnist``, at the start of a joblib worker."""
     if "stmnist" in sys.modules:
         return {"initializer": sys.modules["stmnist"].prepare_worker}
     return {"initializer": load_plugins, "initargs": (True,)}

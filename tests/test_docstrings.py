@@ -73,7 +73,7 @@ def list_attributes(node):
 
 
 def is_dataclass(node):
-    """Whether a class has the decorator of dataclasses."""
+    """True if a class has the decorator of dataclasses."""
     return any("dataclass" in ast.unparse(one) for one in node.decorator_list)
 
 

@@ -12,7 +12,7 @@ from .touch import Touch, TouchSteps
 
 
 class Verdict(NamedTuple):
-    """What the network says of a touch.
+    """The decision of the network about a touch.
 
     Attributes
     ----------

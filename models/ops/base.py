@@ -50,7 +50,7 @@ class Synapses(NamedTuple):
 
 
 class NotatedLayer:
-    """What stands between two hyphens of the notation: an operation, or a pooling before one.
+    """An entry between two hyphens of the notation: an operation, or a pooling before one.
 
     A subclass has `token` and `__str__`, and the methods ``compute_shape(input_shape)``,
     ``count_fan_out(input_shape)``, ``list_array_shapes(input_shape)`` and

@@ -1,4 +1,4 @@
-"""What recordings are, in a few lines: their numbers, classes, sensor and events."""
+"""Describe recordings in a few lines: their numbers, classes, sensor and events."""
 
 import numpy as np
 

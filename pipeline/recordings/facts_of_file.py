@@ -1,4 +1,4 @@
-"""What one file of a recording has, in a line: its events, times and sensor."""
+"""Describe the file of one recording in a line: its events, times and sensor."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -55,7 +55,7 @@ def _describe_new_run(path, dataset):
 
 
 def _describe_unstated_size(opened):
-    """Where the size of a sensor comes from that is no known one and that the user leaves open."""
+    """Say where the size of a sensor comes from, unless it is known or the user states it."""
     recordings = opened.dataset.recordings
     sensor = recordings.sensor
     is_known = is_st_mnist_sensor(sensor.rows, sensor.columns, sensor.classes)

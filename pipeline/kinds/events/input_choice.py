@@ -1,4 +1,4 @@
-"""What a network on events reads of the recordings: refractory period, sections, spikes.
+"""Rules that choose the input of a network on events: refractory period, sections, spikes.
 
 The refractory period of the input compresses large counts of events, as a square root does, and
 saves operations, but it loses events.  Readout weights for sections of a recording tell when
