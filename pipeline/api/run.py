@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import tempfile
 from dataclasses import replace
 from numbers import Integral
@@ -45,6 +46,9 @@ from pipeline.workflow.target_check import TargetCheck
 
 # Source of the settings in the messages of errors.
 ORIGIN = "Run"
+
+# Arguments of Run that are not settings.
+ARGUMENTS = ("data", "input", "jobs", "quiet")
 
 # File next to the folder of a run for recordings that were given in memory.
 RECORDINGS_ENDING = ".recordings.zip"
@@ -98,6 +102,7 @@ class Run:
         self.path = Path(path)
         self.notes = []
         self._printed = set()
+        _refuse_misspelt_arguments(settings)
         self._jobs = _require_jobs(jobs)
         self._quiet = quiet
         self._input = input
@@ -385,6 +390,15 @@ def _list_names(changes, section=""):
             yield from _list_names(value, f"{section}{name}.")
         else:
             yield f"{section}{name}"
+
+
+def _refuse_misspelt_arguments(settings):
+    """Refuse a name that is no setting and is similar to an argument of :class:`Run`."""
+    known = Settings().flatten()
+    for name in settings:
+        near = [] if name in known else difflib.get_close_matches(name, ARGUMENTS, n=1)
+        if near:
+            raise UserError(f"{ORIGIN}: {name!r} is unknown (did you mean {near[0]!r}?)")
 
 
 def _require_jobs(jobs):

@@ -296,6 +296,13 @@ def test_a_number_of_processes_that_is_none_is_refused(tmp_path, jobs):
         Run(tmp_path / "run", jobs=jobs)
 
 
+def test_a_misspelt_argument_is_suggested(tmp_path):
+    with pytest.raises(UserError, match="'dat'.*'data'"):
+        Run(tmp_path / "run", dat="own")
+    with pytest.raises(UserError, match="'snn.epoch'.*'snn.epochs'"):
+        Run(tmp_path / "run", **{"snn.epoch": 3})
+
+
 def test_the_accuracy_of_a_network_on_events_is_in_its_own_row(run):
     rows = {status.state.name: status for status in list_states(RunFolder(run.path))}
     metrics = json.loads((run.path / "snn/metrics.json").read_text())
