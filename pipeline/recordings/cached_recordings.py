@@ -26,7 +26,7 @@ from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
-CACHE_VERSION = 9
+CACHE_VERSION = 10
 
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 MAX_CACHE_BYTES = 1 << 34

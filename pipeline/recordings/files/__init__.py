@@ -3,6 +3,7 @@
 ::
 
     LUT.mat, taxels.csv           rows and columns, or positions, of the taxels, optional
+    classes.txt                   names of the classes in the order of their labels, optional
     train/, test/                 the parts of a published split, optional
         <class>/<recording>       all with one suffix
 

@@ -18,6 +18,7 @@ from pipeline.recordings.files.members import is_ignored, list_members
 from pipeline.recordings.files.messages import shorten
 from pipeline.recordings.formats import READERS
 from pipeline.recordings.formats.camera import CONVERT_OLD, OLD_SUFFIX
+from pipeline.recordings.interpretation.class_order import CLASS_ORDER
 from pipeline.recordings.sensor import make_class_sort_key
 
 LOOKUP_TABLE = "lut.mat"
@@ -67,6 +68,8 @@ class Listing:
         In order of part, class and path.
     lookup_table, positions : str or None
         Member paths of ``LUT.mat`` and ``taxels.csv``.
+    class_order : str or None
+        Member path of ``classes.txt``, in the folder of the classes' folders.
     refused : tuple of (str, str)
         Path and reason of each file or folder that does not belong to a source.
     """
@@ -75,6 +78,7 @@ class Listing:
     entries: tuple
     lookup_table: str | None
     positions: str | None
+    class_order: str | None
     refused: tuple
 
     @property
@@ -85,8 +89,8 @@ class Listing:
     @property
     def files(self) -> list:
         """Member paths of all files that are read."""
-        tables = [name for name in (self.lookup_table, self.positions) if name]
-        return tables + [entry.member for entry in self.entries]
+        tables = (self.lookup_table, self.positions, self.class_order)
+        return [name for name in tables if name] + [entry.member for entry in self.entries]
 
 
 def list_source(path, labelled: bool = True) -> Listing:
@@ -129,6 +133,7 @@ def list_source(path, labelled: bool = True) -> Listing:
         tuple(entries),
         lookup_table=tables[LOOKUP_TABLE],
         positions=tables[POSITIONS],
+        class_order=_find_class_order(members.files, class_folders),
         refused=tuple(sorted(refused)),
     )
 
@@ -137,7 +142,7 @@ def _list_file(path):
     """The listing of one recording, with the tables in the same folder."""
     beside = {entry.name.lower(): entry.name for entry in path.parent.iterdir() if entry.is_file()}
     tables = [beside.get(name) for name in (LOOKUP_TABLE, POSITIONS)]
-    return Listing(path.parent, (Entry(path.name, "", ""),), *tables, ())
+    return Listing(path.parent, (Entry(path.name, "", ""),), *tables, None, ())
 
 
 def _separate_tables(path, files):
@@ -146,7 +151,7 @@ def _separate_tables(path, files):
     members = []
     for name in files:
         member = PurePosixPath(name)
-        if not is_ignored(member):
+        if not is_ignored(member) and member.name.lower() != CLASS_ORDER:
             tables.get(member.name.lower(), members).append(member)
     if any(member.suffix.lower() != TEXT_SUFFIX for member in members):
         members = [member for member in members if member.suffix.lower() != TEXT_SUFFIX]
@@ -155,6 +160,17 @@ def _separate_tables(path, files):
             listed = " and ".join(map(shorten, paths[:2]))
             raise UserError(f"{path}: has several files {name}: {listed}; keep one")
     return members, {name: str(paths[0]) if paths else None for name, paths in tables.items()}
+
+
+def _find_class_order(files, class_folders):
+    """Path of the file with the order of the classes; None without it."""
+    members = map(PurePosixPath, files)
+    found = [
+        str(member)
+        for member in members
+        if member.parent == class_folders.around and member.name.lower() == CLASS_ORDER
+    ]
+    return found[0] if found else None
 
 
 def _choose_format(path, members):

@@ -18,6 +18,7 @@ from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.column_order import ORDERS, settle_orders
 from pipeline.recordings.formats.mat import read_lookup_table
 from pipeline.recordings.formats.recording import BadRecording, EventRecording
+from pipeline.recordings.interpretation.class_order import order_classes
 from pipeline.recordings.interpretation.interpretation import Interpretation
 from pipeline.recordings.interpretation.layouts import interpret
 from pipeline.recordings.interpretation.options import AS_FOUND
@@ -104,8 +105,12 @@ def read_source(
         raise SeveralErrors(describe_refusals(path, files.refused, listing.total))
     if reading.labelled:
         _require_every_class(path, listing, files)
-    source = _make_source(listing, files, interpretation, order)
-    return _collect_recordings(files, interpretation, replace(source, warnings=warnings))
+    names = {entry.of_class for entry in files.entries}
+    classes, remark = order_classes(names, _read_class_order(listing))
+    remarks = [*_describe_order(order), *interpretation.remarks, *filter(None, [remark])]
+    source = _make_source(listing, files, interpretation, tuple(remarks))
+    source = replace(source, warnings=warnings)
+    return _collect_recordings(files, interpretation, classes, source)
 
 
 def _read_files(listing, jobs, progress):
@@ -179,6 +184,13 @@ def _read_table(path: Path, member: str | None, read_content):
         raise UserError(f"{path}: {member} {error}; correct or remove it") from error
 
 
+def _read_class_order(listing) -> bytes | None:
+    """The content of ``classes.txt``; None without the file."""
+    if listing.class_order is None:
+        return None
+    return find_reader(listing.path).read(listing.class_order)
+
+
 def _settle_orders(path, files):
     """The files with columns in one order, and that order if they have no names."""
     try:
@@ -199,11 +211,15 @@ def _require_every_class(path, listing, files):
         raise SeveralErrors([head, *lines])
 
 
-def _make_source(listing: Listing, files, interpretation: Interpretation, order):
+def _describe_order(order) -> list:
+    """A line on the order of columns without names, unless it is the usual one."""
+    if order in ("", ORDERS[0]):
+        return []
+    return [f"columns without names are read as {', '.join(order)}"]
+
+
+def _make_source(listing: Listing, files, interpretation: Interpretation, remarks: tuple):
     """The source of recordings that were read."""
-    remarks = interpretation.remarks
-    if order not in ("", ORDERS[0]):
-        remarks = (f"columns without names are read as {', '.join(order)}", *remarks)
     return Source(
         name=listing.path.name,
         sha256=hash_content(listing),
@@ -217,10 +233,10 @@ def _make_source(listing: Listing, files, interpretation: Interpretation, order)
     )
 
 
-def _collect_recordings(files, interpretation: Interpretation, source: Source):
+def _collect_recordings(files, interpretation: Interpretation, classes: tuple, source: Source):
     """The recordings of all files, with their labels and the sensor."""
     entries = files.entries
-    sensor = interpretation.make_sensor({entry.of_class for entry in entries})
+    sensor = interpretation.make_sensor(classes)
     ids = [entry.id for entry in entries]
     return join_recordings(
         samples=interpretation.events,

@@ -13,7 +13,9 @@ from deploy.files import replacing, require_ending, zip_member
 from pipeline.progress import ignore_progress
 from pipeline.recordings.formats.mat import MatRecording, encode_lookup_table, encode_recording
 from pipeline.recordings.formats.recording import UNITS, BadRecording, make_recording
+from pipeline.recordings.interpretation.class_order import CLASS_ORDER
 from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.sensor import make_class_sort_key
 
 # Number of reasons that are listed individually.
 MAX_LISTED = 10
@@ -44,8 +46,8 @@ def write_recordings(
         left, y the row from the top.  A label is a number from 0, or the name of a class.  An
         attribute ``sensor_size`` (columns, rows, ...), as Tonic's, is the size of the sensor.
     classes : sequence of str, optional
-        Names of the labels 0, 1, ...; default: the ``classes`` of ``recordings`` if it has this
-        attribute, else the labels themselves.
+        Names of the labels 0, 1, ..., an order that the file keeps; default: the ``classes`` of
+        ``recordings`` if it has this attribute, else the labels themselves.
     time_unit : str
         Unit of the times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; empty: inferred from the
         duration of the recordings when the file is read.
@@ -77,6 +79,7 @@ def write_recordings(
         size=_find_sensor_size(recordings),
     )
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
+        _add_class_order(archive, names or [])
         n_read, problems = _add_recordings(archive, recordings, names, properties)
         _require_complete(path, n_read, problems, properties)
     return path
@@ -117,6 +120,12 @@ class _Properties:
         writer = -1 if self.writers is None else int(self.writers[index])
         recording = replace(make_recording(events), size=self.size, writer=writer)
         return _encode_npz(recording, self.time_unit, self.simulated)
+
+
+def _add_class_order(archive, names):
+    """Write the order of the classes to a zip, if it is not that of their names."""
+    if names != sorted(names, key=make_class_sort_key):
+        archive.writestr(zip_member(CLASS_ORDER, zipfile.ZIP_STORED), "\n".join(names) + "\n")
 
 
 def _add_recordings(archive, recordings, names, properties):

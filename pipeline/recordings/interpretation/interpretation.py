@@ -10,7 +10,6 @@ from pipeline.recordings.sensor import (
     N_TAXELS,
     Sensor,
     TaxelMap,
-    make_class_sort_key,
 )
 
 # How messages name the options for the size of the sensor.
@@ -58,8 +57,14 @@ class Interpretation:
     remarks: tuple = ()
     doubts: tuple = ()
 
-    def make_sensor(self, classes) -> Sensor:
-        """The sensor, with ST-MNIST's classes and duration if the recordings are of its format."""
+    def make_sensor(self, classes: tuple) -> Sensor:
+        """The sensor, with ST-MNIST's classes and duration if the recordings are of its format.
+
+        Parameters
+        ----------
+        classes : tuple of str
+            Names of the classes, in the order of their labels.
+        """
         is_full = len(self.taxels) == N_TAXELS and self.rows == self.columns == GRID
         is_numbered = not self.time_unit and not self.bin_ms
         if is_full and set(classes) <= set(DIGITS) and is_numbered:
@@ -71,7 +76,7 @@ class Interpretation:
             self.columns,
             polarities=1 if all((events.polarity > 0).all() for events in self.events) else 2,
             duration_s=max(divide_up(latest_ns, 100_000_000), 1) / 10,  # up to the next tenth
-            classes=tuple(sorted(classes, key=make_class_sort_key)),
+            classes=classes,
         )
 
 

@@ -67,6 +67,19 @@ def test_arrays_that_are_no_events_are_refused_in_one_line():
         Recordings.from_arrays(events, labels)
 
 
+def test_the_order_of_the_classes_is_kept_in_files(tmp_path):
+    events, labels = arrays(6)
+    names = ["right", "left"]
+    recordings = Recordings.from_arrays(events, labels, classes=names, time_unit="s")
+    assert recordings.sensor.classes == ("right", "left")
+    assert sorted(recordings.labels) == sorted(labels)
+    first = next(i for i, name in enumerate(recordings.ids) if name.startswith("right"))
+    assert recordings.labels[first] == 0
+    read = Recordings.read(recordings.write(tmp_path / "six.zip"))
+    assert read.sensor.classes == ("right", "left")
+    assert read.labels.tolist() == recordings.labels.tolist()
+
+
 def test_the_size_of_the_sensor_is_kept_in_files(tmp_path):
     """Also of some of the recordings, which may have no events at the edge."""
     events, labels = arrays(4)
@@ -297,9 +310,9 @@ def test_a_number_of_processes_that_is_none_is_refused(tmp_path, jobs):
 
 
 def test_a_misspelt_argument_is_suggested(tmp_path):
-    with pytest.raises(UserError, match="'dat'.*'data'"):
+    with pytest.raises(UserError, match=r"'dat'.*'data'"):
         Run(tmp_path / "run", dat="own")
-    with pytest.raises(UserError, match="'snn.epoch'.*'snn.epochs'"):
+    with pytest.raises(UserError, match=r"'snn\.epoch'.*'snn\.epochs'"):
         Run(tmp_path / "run", **{"snn.epoch": 3})
 
 
