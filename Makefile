@@ -73,6 +73,7 @@ shipped-bundle: setup  ## Train the network that comes with the package, in pipe
 
 docs: setup  ## Build the documentation site, build/site, and fail on broken links
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo build/site/index.html
 
 test: setup  ## Run the tests of the product, on at most four cores
 	@$(BIN)/python -m pytest $(ON_ALL_CORES) $(addprefix --ignore=,$(DOCUMENT_TESTS))

@@ -12,6 +12,9 @@ LINES = 10
 # Least time between two lines in seconds, so that short steps have none.
 MIN_SECONDS = 10.0
 
+# Least time in seconds from which the remaining time is estimated.
+MIN_MEASURED_SECONDS = 5.0
+
 
 class ProgressLines:
     """A line for each tenth of a step, with the time that it took and that it will take.
@@ -63,10 +66,14 @@ class ProgressLines:
             return
         self._told_line = line
         self._printed = now
-        seconds_a_unit = (now - self._first_at) / (self._done - self._first_done)
-        seconds_left = seconds_a_unit * (self._total - self._done)
         label = self._label if note is None else f"{self._label} {note}"
-        remark(
-            f"{label}: {self._done} of {self._total} {self._unit} after {now - self._begun:.0f} s, "
-            f"about {seconds_left:.0f} s left"
-        )
+        done = f"{self._done} of {self._total} {self._unit} after {now - self._begun:.0f} s"
+        remark(f"{label}: {done}{self._estimate_rest(now)}")
+
+    def _estimate_rest(self, now):
+        """The end of a line: the remaining time, unless it would be from too short a time."""
+        measured = now - self._first_at
+        if measured < MIN_MEASURED_SECONDS:
+            return ""
+        seconds_left = measured / (self._done - self._first_done) * (self._total - self._done)
+        return f", about {seconds_left:.0f} s left"

@@ -24,9 +24,10 @@ class Decision:
     number : int
         The class, from 0.
     probability : float or None
-        Estimated probability that the class is right, from 0 to 1; None without an estimate: no
-        spike has reached the readout, so that the class means nothing, or the touch has lasted
-        longer than the samples of the training, on which probabilities are estimated.
+        Estimated probability that the class is right, from 0 to 1, or the softmax of the outputs if
+        the network has no confidence estimator.  None without an estimate: no spike has reached the
+        readout, so that the class means nothing, or the touch has lasted longer than the samples of
+        the training, on which probabilities are estimated.
     time : float
         Time at which the decision was due, in the unit and on the clock of the events.
     start : float

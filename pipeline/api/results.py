@@ -218,7 +218,8 @@ class Predictions(Result):
     names : list of str
         Name of the predicted class of each recording, in the order of the recordings.
     probabilities : list of (float or None)
-        Estimated probability of each that the class is right; None without an estimate.
+        Estimated probability of each that the class is right, or the softmax of the outputs if the
+        network has no confidence estimator; None where no spike has reached the readout.
     """
 
     def __init__(self, predictions):

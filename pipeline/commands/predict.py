@@ -24,8 +24,9 @@ def predict(
 ):
     """Classify recordings, with or without labels: a file, a zip or a folder.
 
-    Prints the class of each recording and the estimated probability that it is right.  Each
-    recording is presented to the network at rest.
+    Prints the class of each recording and the estimated probability that it is right; of a network
+    without a confidence estimator, the softmax of its outputs.  Each recording is presented to the
+    network at rest.
     """
     from deploy.check.bundle import read_bundle
     from pipeline.api.results import Predictions

@@ -127,8 +127,8 @@ def format_activity(recordings: Recordings) -> str:
     ]
     hot = find_hot_taxels(activity)
     lines.append(
-        "hot taxels, which fire throughout many recordings (through 80 % of the time or more): "
-        f"{len(hot) or 'none'}"
+        "hot taxels, which fire throughout many recordings (through 80 % of the time or more, as "
+        f"under a long press too): {len(hot) or 'none'}"
     )
     lines += [
         f"  taxel {index} (row {taxels.row[index]}, column {taxels.column[index]}, from 0): "

@@ -35,6 +35,12 @@ from pipeline.storage.run_folder import find_checks_folder, run_around
 # Name of the folder in a run's results.
 FOLDER = "other"
 
+# A line on the probabilities of a network without a confidence estimator.
+SOFTMAX_NOTE = (
+    "the probabilities are the softmax of the outputs, which is usually too high: this network has "
+    "no confidence estimator (networks on events have one, from about 1,250 recordings on)"
+)
+
 # Share of a sensor's rows and columns that its recordings have events in, at least.
 MIN_REACHED_SHARE = 0.8
 
@@ -150,8 +156,8 @@ class Prediction:
     label : str
         Name of the predicted class.
     probability : float or None
-        Estimated probability that the class is right; None without an estimate, as where no spike
-        has reached the readout.
+        Estimated probability that the class is right, or the softmax of the outputs if the network
+        has no confidence estimator; None where no spike has reached the readout.
     """
 
     recording: str
@@ -188,6 +194,8 @@ def predict(bundle: Bundle, others: OtherRecordings, target: str = "fast", warn=
     )
     for line in list_warnings(bundle, recordings):
         warn(line)
+    if bundle.spec.estimator is None and bundle.spec.layers[-1].neurons is None:
+        warn(SOFTMAX_NOTE)
     spec = bundle.spec.with_presentation(stream_length=1)
     names = recordings.sensor.classes
     inputs = make_inputs_for(spec, recordings, settings.image)

@@ -39,6 +39,15 @@ def test_the_estimate_leaves_out_what_an_earlier_session_has_done(capsys):
     assert "about 800 s left" in capsys.readouterr().err
 
 
+def test_a_short_time_gives_no_estimate(capsys):
+    now = 0.0
+    progress = ProgressLines("check", 600, clock=lambda: now)
+    for seconds in (78, *(59 * [0.05])):
+        now += seconds
+        progress.advance()
+    assert capsys.readouterr().err == "check: 60 of 600 samples after 81 s\n"
+
+
 def test_the_estimate_leaves_out_the_time_before_the_first_units(capsys):
     now = 0.0
     progress = ProgressLines("check", 10, clock=lambda: now)
