@@ -4,6 +4,7 @@ The chip's convolution has a square kernel and equal strides.  A smaller kernel 
 edges, so that groups, dilation, averaging beside it and other paddings have this form, too.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,14 @@ def sum_shifted(kernel, size, step) -> np.ndarray:
         for column in range(0, size[1] * step[1], step[1]):
             summed[:, :, row : row + rows, column : column + columns] += kernel
     return summed
+
+
+def average_before(window: Window, size, strides) -> Window:
+    """The windows of a convolution that reads averages over windows, without padding."""
+    kernel = spread_kernel(window.kernel, 1, strides)
+    kernel = sum_shifted(kernel, size, (1, 1)) / math.prod(size)
+    steps = tuple(a * b for a, b in zip(window.stride, strides, strict=True))
+    return Window(kernel, steps, window.before)
 
 
 def fit_to_chip(window: Window, rows_and_columns, counts, paddings=None) -> dict | None:

@@ -11,21 +11,24 @@ them, and a linear output.  Between two layers with weights, Keras's layers are 
 with the signal of the Keras model on the left, and that of the layers built so far on the right.
 The next layer with weights absorbs it: for a dense layer with any map, ``kernel' = map^T kernel``
 and ``bias' = bias + offset kernel``; for a convolution if the map scales channels and pads zeros.
+Any other convolution becomes a dense layer with its matrix.
 """
 
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import sparse
 
-from models.architecture import MAX_VALUES, MAX_WEIGHTS, Architecture
+from models.architecture import MAX_WEIGHTS, Architecture
 from models.keras.files import ModelFileError
-from models.keras.model import KerasLayer, KerasModel, MaxPool
-from models.keras.signal import Signal
+from models.keras.model import LINEAR, RELU, Activation, KerasLayer, KerasModel, MaxPool
+from models.keras.signal import Signal, make_matrix
 from models.ops import Dense, Pooling
 
 # Maximum number of weights of a convolution that is written as a matrix.
 MAX_MATRIX_WEIGHTS = 20_000_000
+
 
 # Largest value of a pixel, with which an image of this project is multiplied where the first layer
 # of a model takes pixels.
@@ -34,10 +37,9 @@ MAX_PIXEL = 255.0
 # Activations that do not change which output is the largest.
 MONOTONE_ACTIVATIONS = (
     *("softmax", "log_softmax", "sigmoid", "tanh", "softplus", "softsign", "elu", "selu"),
-    *("exponential", "relu", "leaky_relu"),
+    *("exponential", "leaky_relu", "log_sigmoid", "celu", "squareplus"),
 )
 
-NO_CHAIN = "is not one chain of layers, each called once and with its input only; build one"
 RETRAIN = "with --retrain it becomes"
 USE_RELU = "use activation='relu' (in the output 'softmax' or None)"
 
@@ -50,7 +52,7 @@ class WeightedSums:
     ----------
     layer : KerasLayer
     kernel, bias : ndarray
-    activation : str or callable
+    activation : Activation
         The activation in the file; the architecture has ReLUs only.
     maxima : MaxPool or None
         In the file between the built signal and the kernel.
@@ -59,7 +61,7 @@ class WeightedSums:
     layer: KerasLayer
     kernel: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
-    activation: object = "relu"
+    activation: Activation = RELU
     maxima: MaxPool | None = None
 
 
@@ -104,12 +106,12 @@ class LayerConverter:
     is_linear : bool
         True if no activation has followed the last weighted sums.
     maxima : MaxPool or None
-        A maximum over windows of the built image, which the next dense layer absorbs.
+        A maximum over windows of the built image, which the next layer with weights absorbs.
     means : WindowMeans or None
         Averages over windows of the built image, which the next convolution may absorb.
     max_pools, paddings : dict
         As in `KerasModel`, by the index of their layer.
-    end : (KerasLayer, str) or None
+    end : (KerasLayer, Activation) or None
         A layer and its activation, if it may be the output's.
     input_scale : float
         As in `KerasModel`.
@@ -150,17 +152,18 @@ class LayerConverter:
         """
         is_dense = self.ends_dense and self.signal.is_unchanged
         if is_dense and not self.is_linear:
-            self.end = self.sums[-1].layer, "relu"
+            self.end = self.sums[-1].layer, RELU
         elif not is_dense:
             self.read_out()
         last = self.sums[-1]
-        activation = "linear"
+        activation = LINEAR
         if self.end is not None:
             layer, activation = self.end
-            name = name_activation(activation)
-            self.notes.append(f"{layer}: its {name} left out, which does not change the prediction")
+            self.notes.append(
+                f"{layer}: its {activation.name} left out, which does not change the prediction"
+            )
         if self.layers[-1].units == 1:
-            if activation != "sigmoid":
+            if activation.name != "sigmoid":
                 last.layer.refuse(
                     "has one output; use one unit per class, or activation='sigmoid' for two "
                     "classes"
@@ -181,7 +184,7 @@ class LayerConverter:
         for name, sums in zip(weighted, self.sums, strict=True):
             kernel = sums.kernel
             if sums.maxima is not None:
-                kernel = sums.maxima.means.T @ kernel
+                kernel = sums.maxima.widen(kernel)
             with np.errstate(over="ignore"):  # infinite values are refused below
                 kernel, bias = (np.asarray(a, np.float32) for a in (kernel, sums.bias))
             if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
@@ -200,7 +203,7 @@ class LayerConverter:
             weights=weights,
             notes=tuple(self.notes),
             replaced=tuple(self.replaced),
-            activations={n: c for n, c in activations.items() if c != "relu" and n != "output"},
+            activations={n: a for n, a in activations.items() if a != RELU and n != "output"},
             max_pools=max_pools,
             paddings={names[index]: values for index, values in self.paddings.items()},
             end=end,
@@ -211,51 +214,70 @@ class LayerConverter:
     # --- weighted sums ----------------------------------------------------------------------------
 
     def append_dense(self, layer, kernel, bias):
-        """Append a dense layer; one that follows another without an activation is multiplied."""
+        """Append a dense layer; one that follows another without an activation is multiplied.
+
+        Parameters
+        ----------
+        layer : KerasLayer
+        kernel : ndarray or sparse array, shape (inputs, outputs)
+        bias : ndarray
+        """
         bias = self.signal.offset @ kernel + bias
         kernel = self.signal.map.T @ kernel
         if self.maxima is not None or (self.layers and isinstance(self.layers[-1], Pooling)):
             self.require_activation(layer)
         if self.is_linear:
-            before = self.make_linear_dense()
-            bias = before.bias @ kernel + bias
-            kernel = before.kernel @ kernel
-            self.maxima = before.maxima
+            before = self.sums[-1]
+            matrix, offset = self.make_matrix_of_sums()
+            bias = offset @ kernel + bias
+            kernel = matrix @ kernel
+            self.maxima = before.maxima and before.maxima.before_dense()
             self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
             self.layers.pop()
             self.sums.pop()
         self.append_sums(layer, Dense(kernel.shape[1]), kernel, bias)
 
-    def make_linear_dense(self) -> WeightedSums:
-        """The last sums, which have no activation, as those of a dense layer."""
+    def make_matrix_of_sums(self) -> tuple:
+        """The last sums, which have no activation, as a matrix (inputs, outputs) and a bias."""
         last = self.sums[-1]
         operation = self.layers[-1]
         if isinstance(operation, Dense):
-            return last
+            return last.kernel, last.bias
         before = self.input_shape
         for layer in self.layers[:-1]:
             before = layer.compute_shape(before)
-        if math.prod(before) * math.prod(self.signal.built) > MAX_MATRIX_WEIGHTS:
-            last.layer.refuse("has no activation; use activation='relu'")
-        from models.keras.keras2 import tf
+        strides, padding = (operation.stride, operation.stride), operation.padding
+        if last.maxima is not None:
+            before, strides, padding = last.maxima.shape, last.maxima.conv_strides, "valid"
+        matrix = make_matrix(last.kernel.transpose(3, 2, 0, 1), before, strides, padding)
+        return matrix.T, np.tile(last.bias, matrix.shape[0] // len(last.bias))
 
-        units = np.eye(math.prod(before)).reshape(-1, *before)
-        matrix = tf.nn.conv2d(
-            units, last.kernel, operation.stride, operation.padding.upper()
-        ).numpy()
-        bias = np.broadcast_to(last.bias, self.signal.built).ravel()
-        return WeightedSums(last.layer, matrix.reshape(len(units), -1), bias)
+    def average_sums(self):
+        """Let the last sums, which have no activation, include the linear function after them."""
+        last = self.sums[-1]
+        shape = self.signal.shape
+        matrix, offset = self.make_matrix_of_sums()
+        kernel = matrix @ self.signal.map.T
+        bias = self.signal.map @ offset + self.signal.offset
+        self.layers.pop()
+        self.sums.pop()
+        self.maxima = last.maxima and last.maxima.before_dense()
+        self.append_sums(last.layer, Dense(len(bias)), kernel, bias)
+        self.signal.arrange(self.signal.positions.reshape(shape))
+        self.notes.append(f"{last.layer}: takes the memory of a dense layer, as what follows it")
 
     def append_sums(self, layer, operation, kernel, bias):
         """Append an operation with its kernel and bias."""
-        weights = kernel.size
-        if self.maxima is not None:
+        weights = math.prod(kernel.shape)
+        if self.maxima is not None and isinstance(operation, Dense):
             weights = math.prod(self.maxima.image) * kernel.shape[1]
-        if (
-            math.prod(operation.compute_shape(self.signal.built)) > MAX_VALUES
-            or weights > MAX_WEIGHTS
-        ):
-            layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
+        if weights > (MAX_MATRIX_WEIGHTS if sparse.issparse(kernel) else MAX_WEIGHTS):
+            layer.refuse(
+                f"as a matrix, which it would be on the chip, it has {weights} weights; use "
+                "square kernels, equal strides, pooling of 2 on an even number of rows and "
+                "columns, or a stride in the convolution before it"
+            )
+        kernel = kernel.toarray() if sparse.issparse(kernel) else kernel
         self.signal.begin(operation.compute_shape(self.signal.built))
         self.layers.append(operation)
         bias = np.broadcast_to(bias, kernel.shape[-1:])
@@ -272,58 +294,51 @@ class LayerConverter:
 
     # --- activations ------------------------------------------------------------------------------
 
-    def use_layer_activation(self, layer):
-        """Use the activation that a layer with weights, or an Activation, has."""
-        activation = layer.config.get("activation")
-        if not (activation is None or isinstance(activation, str)):
-            layer.refuse(f"its activation is not one of Keras's; {USE_RELU}")
-        if activation not in (None, "linear"):
-            self.use_activation(layer, activation)
-
     def use_activation(self, layer, activation):
         """Use an activation for the output if possible, and otherwise for a hidden layer."""
+        if activation.name == "linear":
+            return
         is_vector = len(self.signal.shape) == 1
         is_dense = self.is_linear and self.ends_dense and is_vector
-        if activation == "softmax" and self.sums and is_vector and not is_dense:
+        if activation.name == "softmax" and self.sums and is_vector and not is_dense:
             self.read_out()
             is_dense = True
-        if is_dense and activation != "relu" and is_monotone(activation):
+        if is_dense and activation.name in MONOTONE_ACTIVATIONS:
             self.end = layer, activation
         else:
             self.use_hidden_activation(layer, activation)
 
     def use_hidden_activation(self, layer, activation):
         """Use the activation of a hidden layer."""
-        if activation == "softmax":
+        if activation.name == "softmax":
             layer.refuse("its softmax does not follow the output; remove it")
         if not self.sums:
             layer.refuse("precedes the first Conv2D or Dense; remove it")
         last = self.sums[-1]
         if not self.is_linear:
             # A signal that is not negative passes a ReLU unchanged.
-            is_positive = last.activation == "relu" and self.signal.is_never_negative
-            if activation != "relu" or not is_positive:
+            is_positive = last.activation == RELU and self.signal.is_never_negative
+            if activation.name != "relu" or not is_positive:
                 layer.refuse(
                     f"a second activation after that of {last.layer}; put the normalisation, or "
                     "the averaging, before or after both, or remove one"
                 )
             return
         if not self.signal.is_moved:
-            layer.refuse(
-                "follows an average, or a normalisation of each position, of sums; put the "
-                "activation before it, and the normalisation before the Flatten"
-            )
+            if self.maxima is not None:
+                layer.refuse("follows an average of maxima; put the activation before them")
+            self.average_sums()
+            last = self.sums[-1]
         self.is_linear = False
-        if activation == "relu":
+        if activation.name == "relu":
             return
-        name = name_activation(activation)
         if not self.retrain:
             layer.refuse(
-                f"{name!r} is not the curve of a spiking neuron, which is like a ReLU; "
+                f"{activation.name!r} is not the curve of a spiking neuron, which is like a ReLU; "
                 f"{RETRAIN} a ReLU and is trained further; or {USE_RELU}"
             )
         last.activation = activation
-        self.replaced.append(f"{layer}: {name} replaced by a ReLU")
+        self.replaced.append(f"{layer}: {activation.name} replaced by a ReLU")
 
     def require_activation(self, layer):
         """Refuse sums without an activation before a convolution."""
@@ -335,17 +350,13 @@ class LayerConverter:
                 f"has no activation before {layer.name!r}; use activation='relu' ({RETRAIN} a ReLU)"
             )
         self.is_linear = False
-        last.activation = "linear"
+        last.activation = LINEAR
         self.replaced.append(f"{last.layer}: a ReLU added, since it has no activation")
 
     # --- scales -----------------------------------------------------------------------------------
 
     def apply_affine(self, layer, scale, offset):
-        """Fold ``scale * signal + offset``; they broadcast to the signal's shape."""
-        try:
-            scale, offset = (np.broadcast_to(a, self.signal.shape).ravel() for a in (scale, offset))
-        except ValueError:
-            layer.refuse(NO_CHAIN)
+        """Fold ``scale * signal + offset``, one of each for a value of the signal."""
         with np.errstate(all="ignore"):  # infinite weights are refused in _make_model
             if self.is_linear and self.fold_back(scale, offset):
                 self.notes.append(f"{layer}: folded into {self.sums[-1].layer}")
@@ -369,19 +380,23 @@ class LayerConverter:
         if not self.signal.is_moved or self.signal.map.nnz != len(scale):
             return False
         last = self.sums[-1]
+        units = len(last.bias)
+        period = units if self.maxima is None else self.signal.built[-1]
         scales, offsets = (
-            (self.signal.map.T @ values).reshape(-1, len(last.bias)) for values in (scale, offset)
+            (self.signal.map.T @ values).reshape(-1, period) for values in (scale, offset)
         )
         if (scales != scales[0]).any() or (offsets != offsets[0]).any():
             return False
-        last.kernel = last.kernel * scales[0]
-        last.bias = last.bias * scales[0] + offsets[0]
+        self.change_signs(scales[0])
+        scale, offset = (np.tile(values[0], units // period) for values in (scales, offsets))
+        last.kernel = last.kernel * scale
+        last.bias = last.bias * scale + offset
         return True
 
-
-def name_activation(activation) -> str:
-    return activation if isinstance(activation, str) else activation.__name__
-
-
-def is_monotone(activation) -> bool:
-    return name_activation(activation) in MONOTONE_ACTIVATIONS
+    def change_signs(self, scale):
+        """Let maxima of the last sums be minima where these change their sign."""
+        for index, pool in self.max_pools.items():
+            if index >= len(self.layers) - 1 and isinstance(self.layers[index], Pooling):
+                self.max_pools[index] = pool.change_signs(scale)
+        if self.maxima is not None:
+            self.maxima = self.maxima.change_signs(scale)

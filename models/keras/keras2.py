@@ -4,11 +4,11 @@ TensorFlow 2.16 and later use Keras 3 by default.  They use Keras 2 from the pac
 TF_USE_LEGACY_KERAS is set before the first access to ``tf.keras``.
 """
 
-import contextlib
 import functools
 import gc
 import os
-import sys
+
+from deploy.terminal import silence_native_errors
 
 os.environ["TF_USE_LEGACY_KERAS"] = "1"
 # No plug-ins for HDF5, which TensorFlow before 2.21 searches for (CVE-2026-2492).
@@ -48,20 +48,6 @@ tf.get_logger().setLevel("ERROR")
 # Decorator for functions without branches or loops over tensors: it skips AutoGraph's conversion,
 # which takes longer than tracing.
 as_written = tf.autograph.experimental.do_not_convert
-
-
-@contextlib.contextmanager
-def silence_native_errors():
-    """Suppress standard error of native code, which log levels do not control."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
 
 
 @functools.cache

@@ -6,30 +6,15 @@ converted so far.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from models.architecture import MAX_LAYERS, MAX_VALUES
-from models.keras.converter import USE_RELU, LayerConverter
+from models.keras.converter import LayerConverter
 from models.keras.files import ModelFileError
-from models.keras.linear import (
-    convert_batch_normalisation,
-    convert_cropping,
-    convert_flatten,
-    convert_normalisation,
-    convert_permute,
-    convert_rescaling,
-    convert_reshape,
-    convert_zero_padding,
-)
-from models.keras.model import KerasLayer, KerasModel
-from models.keras.pooling import (
-    convert_average_pooling,
-    convert_global_average_pooling,
-    convert_global_max_pooling,
-    convert_max_pooling,
-)
+from models.keras.linear import convert_zero_padding, rearrange, scale
+from models.keras.model import Activation, KerasLayer, KerasModel
+from models.keras.pooling import convert_pooling
 from models.keras.weighted import convert_convolution, convert_dense
 
 
@@ -55,11 +40,23 @@ def convert_layers(
     ModelFileError
         A layer is not supported.
     """
+    layers = [layer for layer in layers if layer.kind != "InputLayer"]
+    for layer in layers:
+        _require_usable(layer)
     order = _find_input_order(input_shape, layers, grid)
     converter = LayerConverter(order, retrain, pixels)
     for layer in layers:
         convert_layer(converter, layer)
     return converter.finish()
+
+
+def _require_usable(layer: KerasLayer):
+    if layer.kind not in (*HANDLERS, *TRAINING_LAYERS):
+        layer.refuse(f"not supported; {REFUSED.get(layer.kind, USABLE)}")
+    if layer.size > MAX_VALUES:
+        layer.refuse(f"has more than {MAX_VALUES} values")
+    if not all(np.isfinite(array).all() for array in layer.arrays):
+        layer.refuse("has NaN or infinite weights; train it again, with a lower learning rate")
 
 
 def convert_layer(converter: LayerConverter, layer: KerasLayer):
@@ -70,30 +67,20 @@ def convert_layer(converter: LayerConverter, layer: KerasLayer):
     ModelFileError
         The layer is not supported after those before it.
     """
-    if layer.kind == "InputLayer":
-        return
     if layer.kind in TRAINING_LAYERS:
         converter.notes.append(f"{layer} left out: it only acts in training")
         return
-    if layer.kind not in HANDLERS:
-        layer.refuse(f"not supported; {REFUSED.get(layer.kind, USABLE)}")
-    if not all(np.isfinite(array).all() for array in layer.arrays):
-        layer.refuse("has NaN or infinite weights; train it again, with a lower learning rate")
     if len(converter.layers) >= MAX_LAYERS:
         raise ModelFileError(f"has more than {MAX_LAYERS} layers; use fewer")
-    if converter.maxima is not None and layer.kind in WITH_WINDOWS:
-        layer.refuse(
-            "follows a maximum whose windows are cut off at the edge, or overlap so that "
-            "averages without overlap have another shape; use MaxPooling2D(2) of an even "
-            "number of rows and columns, or a stride of 2 with padding='same'"
-        )
     if converter.end is not None:  # no output, since a layer follows
         before, activation = converter.end
         converter.end = None
-        if activation == "softmax":
+        if activation.name == "softmax":
             layer.refuse(f"follows the softmax of {before}; remove that softmax")
         converter.use_hidden_activation(before, activation)
-    is_channels_first = layer.config.get("data_format") == "channels_first"
+    is_channels_first = (
+        layer.config.get("data_format") == "channels_first" and HANDLERS[layer.kind] != rearrange
+    )
     if is_channels_first and converter.signal.is_image:
         converter.signal.move_axis(0, -1)
     HANDLERS[layer.kind](converter, layer)
@@ -110,25 +97,28 @@ def _find_input_order(input_shape, layers, grid):
             f"its input of {sizes} is not an image of a sensor's rows and columns; begin the model "
             "with keras.Input((rows, columns, channels))"
         )
-    first = next((layer for layer in layers if layer.kind != "InputLayer"), None)
-    if len(shape) == 1:
-        image = _find_image_of_vector(shape[0], first, grid)
-        return np.arange(shape[0]), image
-    if len(shape) == 2:
-        shape = (*shape, 1)
+    positions = np.arange(math.prod(shape)).reshape(shape)
+    image = positions if len(shape) > 1 else None
+    for layer in layers:
+        if layer.kind not in ("Reshape", "Permute"):
+            break
+        positions = np.rint(layer.compute(positions)).astype(int)
+        if positions.ndim == 3 or (positions.ndim == 2 and len(shape) == 1):
+            image = positions
+    if image is None:
+        image = positions.reshape(_find_image_of_vector(len(positions.ravel()), grid))
+    if image.ndim == 2:
+        image = image[..., None]
     formats = [layer.config["data_format"] for layer in layers if "data_format" in layer.config]
-    if len(input_shape) == 3 and formats[:1] == ["channels_first"]:
-        image = (*shape[1:], shape[0])
-        return np.moveaxis(np.arange(math.prod(shape)).reshape(image), -1, 0), image
-    return np.arange(math.prod(shape)).reshape(input_shape), shape
+    if image.shape == shape and formats[:1] == ["channels_first"]:
+        image = np.moveaxis(image, 0, -1)
+    order = np.empty(image.size, int)
+    order[image.ravel()] = np.arange(image.size)
+    return order.reshape(shape), image.shape
 
 
-def _find_image_of_vector(length, first, grid):
-    """The shape of the image that a vector of values has: what the model says, or a square."""
-    if first is not None and first.kind == "Reshape":
-        target = tuple(first.config["target_shape"])
-        if len(target) in (2, 3) and math.prod(target) == length:
-            return target if len(target) == 3 else (*target, 1)
+def _find_image_of_vector(length, grid):
+    """The shape of the image that a vector of values has: the sensor's, or a square."""
     if grid is not None and math.prod(grid) == length:
         return tuple(grid)
     side = math.isqrt(length)
@@ -140,74 +130,29 @@ def _find_image_of_vector(length, first, grid):
     )
 
 
-def convert_relu(converter: LayerConverter, layer: KerasLayer):
-    """Use a ReLU, or one with a slope, threshold or limit."""
-    max_value = layer.config.get("max_value")
-    slope = float(layer.config.get("negative_slope") or 0)
-    threshold = float(layer.config.get("threshold") or 0)
-    activation: str | Callable = "relu"
-    if max_value is not None or slope + threshold:
-        activation = _make_activation(
-            "ReLU with arguments", "relu", max_value=max_value, alpha=slope, threshold=threshold
-        )
-    converter.use_activation(layer, activation)
+def convert_activation(converter: LayerConverter, layer: KerasLayer):
+    """Use the function of a layer."""
+    name = layer.config.get("activation") or ACTIVATIONS.get(layer.kind, layer.kind)
+    if any(layer.config.get(key) for key in ("max_value", "negative_slope", "threshold")):
+        name = ACTIVATIONS["LeakyReLU"] if layer.kind == "LeakyReLU" else "ReLU with arguments"
+    converter.use_activation(layer, Activation(name, layer.function))
 
 
-def convert_leaky_relu(converter: LayerConverter, layer: KerasLayer):
-    """Use a ReLU with a slope below 0."""
-    slope = layer.config.get("negative_slope", layer.config.get("alpha"))
-    converter.use_activation(
-        layer, _make_activation("leaky_relu", "relu", alpha=float(np.asarray(slope)))
-    )
-
-
-def convert_elu(converter: LayerConverter, layer: KerasLayer):
-    """Use an ELU."""
-    converter.use_activation(
-        layer, _make_activation("elu", "elu", alpha=float(layer.config["alpha"]))
-    )
-
-
-def _make_activation(name, function, **arguments) -> Callable:
-    """An activation of Keras 2 with arguments."""
-
-    def compute(values):
-        from models.keras.keras2 import tf
-
-        return getattr(tf.keras.activations, function)(values, **arguments)
-
-    compute.__name__ = name
-    return compute
-
+# Names of functions of layers.
+ACTIVATIONS = {"ReLU": "relu", "LeakyReLU": "leaky_relu", "ELU": "elu", "Softmax": "softmax"}
 
 HANDLERS = {
-    "Conv2D": convert_convolution,
-    "DepthwiseConv2D": convert_convolution,
-    "SeparableConv2D": convert_convolution,
+    **dict.fromkeys(("Conv2D", "DepthwiseConv2D", "SeparableConv2D"), convert_convolution),
     "Dense": convert_dense,
-    "Activation": LayerConverter.use_layer_activation,
-    "ReLU": convert_relu,
-    "LeakyReLU": convert_leaky_relu,
-    "ELU": convert_elu,
-    "Softmax": lambda converter, layer: converter.use_activation(layer, "softmax"),
-    "BatchNormalization": convert_batch_normalisation,
-    "Rescaling": convert_rescaling,
-    "Normalization": convert_normalisation,
-    "Flatten": convert_flatten,
-    "Reshape": convert_reshape,
-    "Permute": convert_permute,
+    **dict.fromkeys(("Activation", *ACTIVATIONS, "PReLU", "ThresholdedReLU"), convert_activation),
+    **dict.fromkeys(("BatchNormalization", "Rescaling", "Normalization"), scale),
+    **dict.fromkeys(
+        ("Flatten", "Reshape", "Permute", "Cropping2D", "CenterCrop", "RepeatVector"), rearrange
+    ),
     "ZeroPadding2D": convert_zero_padding,
-    "Cropping2D": convert_cropping,
-    "AveragePooling2D": convert_average_pooling,
-    "GlobalAveragePooling2D": convert_global_average_pooling,
-    "MaxPooling2D": convert_max_pooling,
-    "GlobalMaxPooling2D": convert_global_max_pooling,
+    **dict.fromkeys(("AveragePooling2D", "GlobalAveragePooling2D"), convert_pooling),
+    **dict.fromkeys(("MaxPooling2D", "GlobalMaxPooling2D"), convert_pooling),
 }
-# Layers that read windows of an image.
-WITH_WINDOWS = (
-    *("Conv2D", "DepthwiseConv2D", "SeparableConv2D", "AveragePooling2D", "MaxPooling2D"),
-    *("GlobalAveragePooling2D", "GlobalMaxPooling2D", "ZeroPadding2D"),
-)
 # Layers that only act in training.
 TRAINING_LAYERS = (
     *("Dropout", "SpatialDropout2D", "AlphaDropout", "GaussianDropout", "GaussianNoise"),
@@ -219,7 +164,6 @@ USABLE = "use Conv2D (with a stride), AveragePooling2D, Dense, Flatten, ReLU, Ba
 REFUSED = {
     "LayerNormalization": "use BatchNormalization",
     "Conv1D": "use Conv2D on an input of rows, columns, channels",
-    "PReLU": USE_RELU,
     "Resizing": "train the model on images of the sensor's size",
     **dict.fromkeys(
         ("Add", "Concatenate", "Multiply", "Average"), "use one chain, without branches"

@@ -1,12 +1,35 @@
 """A layer of a Keras model, and a model as an architecture and its weights."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from models.architecture import Architecture
 from models.keras.files import ModelFileError
+
+NO_CHAIN = (
+    "does not compute what its layers do one after the other; build one chain of layers, each "
+    "called once and with its input only"
+)
+
+
+class Activation(NamedTuple):
+    """A function after weighted sums, by its name in Keras."""
+
+    name: str
+    function: Callable
+
+
+def _compute_relu(values):
+    from models.keras.keras2 import tf
+
+    return tf.nn.relu(values)
+
+
+RELU = Activation("relu", _compute_relu)
+LINEAR = Activation("linear", lambda values: values)
 
 
 class KerasLayer(NamedTuple):
@@ -21,15 +44,37 @@ class KerasLayer(NamedTuple):
         The arguments of the layer.
     arrays : tuple of ndarray
         The trained arrays, in Keras's order.
+    function : callable
+        What the layer computes of a batch, in prediction.
+    activation : Activation
+        The activation of a layer that also has weights.
+    size : int
+        Number of its output values.
     """
 
     kind: str
     name: str
     config: dict
     arrays: tuple
+    function: Callable = LINEAR.function
+    activation: Activation = LINEAR
+    size: int = 0
 
     def __str__(self):
         return f"layer {self.name!r} ({self.kind})"
+
+    def compute(self, values) -> np.ndarray:
+        """What the layer computes of a sample, in double precision.
+
+        Raises
+        ------
+        ModelFileError
+            The sample does not have the shape that the layer expects.
+        """
+        try:
+            return np.asarray(self.function(np.asarray(values, np.float32)[None])).astype(float)[0]
+        except Exception:  # each Keras has its own for a sample of another shape
+            self.refuse(NO_CHAIN)
 
     def refuse(self, problem) -> NoReturn:
         """Raise a ModelFileError with the layer's name and a problem."""
@@ -54,11 +99,16 @@ class MaxPool:
         -1 for channels of which a later normalisation changes the sign, so that the file's model
         has their minimum.
     image : tuple of int
-        Shape of the image before it, if a dense layer has absorbed the averages.
+        Shape of the image before it, if the next layer has absorbed the averages.
     means : scipy.sparse.csr_array, shape (averages, values of the image)
-        The averages that a dense layer has taken in.
-    kernel : ndarray, shape (maxima, units)
-        The kernel of that layer in the file.
+    shape : tuple of int
+        Shape of the maxima.
+    widen : callable
+        The kernel on the image, with averages in it, of a convolution's kernel on the averages.
+    kernel : ndarray
+        The kernel of that layer in the file: (maxima, units), or that of a convolution.
+    conv_strides : tuple of int
+        Strides of a convolution without padding that has absorbed the averages.
     """
 
     size: tuple
@@ -67,7 +117,18 @@ class MaxPool:
     signs: np.ndarray
     image: tuple = ()
     means: Any = None
+    shape: tuple = ()
+    widen: Callable | None = None
     kernel: np.ndarray | None = None
+    conv_strides: tuple = ()
+
+    def before_dense(self) -> "MaxPool":
+        """The maxima that a dense layer absorbs."""
+        return replace(self, widen=self.means.T.__matmul__, conv_strides=())
+
+    def change_signs(self, scale) -> "MaxPool":
+        """The maxima of channels with a factor, or minima if it is negative."""
+        return replace(self, signs=self.signs * np.where(scale < 0, -1, 1))
 
 
 @dataclass(frozen=True)
@@ -93,8 +154,8 @@ class KerasModel:
     paddings : dict of str to ndarray
         Values of the channels with which the file's model pads a convolution's input, where the
         architecture pads zeros, by the name of the convolution.
-    end : str
-        Activation of the output in the file.
+    end : Activation
+        That of the output in the file.
     input_order : ndarray of int
         The values of an image, in the order (row, column, channel), that the model's input has, in
         its shape.
@@ -109,6 +170,6 @@ class KerasModel:
     activations: dict
     max_pools: dict
     paddings: dict
-    end: str
+    end: Activation
     input_order: np.ndarray
     input_scale: float = 1.0

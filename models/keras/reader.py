@@ -6,15 +6,15 @@ that is compared has the model's own activations and maxima.
 """
 
 import functools
+import math
 from pathlib import Path
 
 import numpy as np
 
 from deploy.files import hash_file, reporting_os_errors
-from models.keras.converter import NO_CHAIN
 from models.keras.files import REMEDY, ModelFileError, load_keras_model
 from models.keras.layers import convert_layers
-from models.keras.model import KerasLayer, KerasModel
+from models.keras.model import LINEAR, NO_CHAIN, RELU, Activation, KerasLayer, KerasModel
 
 # Random images on which the architecture is compared with the model.
 COMPARED_IMAGES = 8
@@ -89,9 +89,19 @@ def _flatten_layers(model):
 
 
 def _read_layer(layer) -> KerasLayer:
-    return KerasLayer(
-        type(layer).__name__, layer.name, layer.get_config(), tuple(layer.get_weights())
-    )
+    if hasattr(layer, "_set_dtype_policy"):  # Keras 2; layers of mixed precision have 16 bits
+        layer._set_dtype_policy("float32")
+    else:
+        layer.dtype_policy = "float32"
+    config = layer.get_config()
+    name = config.get("activation")
+    activation = LINEAR if name is None else Activation(name, layer.activation)
+    try:
+        size = math.prod(n or 0 for n in layer.output.shape[1:])
+    except (AttributeError, ValueError) as error:
+        raise ModelFileError(f"layer {layer.name!r}: {NO_CHAIN}") from error
+    arrays = tuple(layer.get_weights())
+    return KerasLayer(type(layer).__name__, layer.name, config, arrays, layer, activation, size)
 
 
 def make_original_network(model: KerasModel):
@@ -106,19 +116,21 @@ def make_original_network(model: KerasModel):
     from models.keras.keras2 import tf
 
     names = list(model.architecture.spiking)
-    activations = [model.activations.get(name, "relu") for name in names]
-    network = build_cnn(
-        model.architecture, lambda index: tf.keras.layers.Activation(activations[index])
-    )
+
+    def make_activation(index):
+        activation = model.activations.get(names[index], RELU)
+        return tf.keras.layers.Activation(lambda values: activation.function(values))
+
+    network = build_cnn(model.architecture, make_activation)
 
     def replace_layer(layer):
         if layer.name in model.max_pools:
             pool = model.max_pools[layer.name]
-            return (
-                _make_maximum(layer.name, pool)
-                if pool.kernel is None
-                else _make_max_dense(layer, pool)
-            )
+            if pool.kernel is None:
+                return tf.keras.layers.Lambda(
+                    lambda values: _take_maximum(values, pool), name=layer.name
+                )
+            return _make_layer_of_maxima(layer, pool)
         if layer.name in model.paddings:
             return _make_padded_convolution(layer, model.paddings[layer.name])
         return layer
@@ -129,13 +141,6 @@ def make_original_network(model: KerasModel):
     return network
 
 
-def _make_maximum(name, pool):
-    """A layer with the maximum over the windows of a MaxPool."""
-    from models.keras.keras2 import tf
-
-    return tf.keras.layers.Lambda(lambda values: _take_maximum(values, pool), name=name)
-
-
 def _take_maximum(values, pool):
     from models.keras.keras2 import tf
 
@@ -143,16 +148,20 @@ def _take_maximum(values, pool):
     return signs * tf.nn.max_pool2d(signs * values, pool.size, pool.strides, pool.padding.upper())
 
 
-def _make_max_dense(layer, pool):
-    """A dense layer of the maxima over windows of an image, with the kernel of the file."""
+def _make_layer_of_maxima(layer, pool):
+    """A layer of the maxima over windows of an image, with the kernel of the file."""
     from models.keras.keras2 import tf
 
-    class MaxDense(tf.keras.layers.Dense):
+    class OfMaxima(type(layer)):
         def call(self, inputs):
             maxima = _take_maximum(tf.reshape(inputs, (-1, *pool.image)), pool)
-            return tf.reshape(maxima, (-1, len(pool.kernel))) @ pool.kernel + self.bias
+            if pool.conv_strides:
+                sums = tf.nn.conv2d(maxima, pool.kernel, pool.conv_strides, "VALID")
+            else:
+                sums = tf.reshape(maxima, (-1, len(pool.kernel))) @ pool.kernel
+            return sums + self.bias
 
-    return MaxDense.from_config(layer.get_config())
+    return OfMaxima.from_config(layer.get_config())
 
 
 def _make_padded_convolution(layer, padding):
@@ -190,11 +199,6 @@ def _compare(model, converted: KerasModel):
         logits = predict(make_original_network(converted), images)
         if outputs.shape[1] == 1:
             logits = logits[:, 1:] - logits[:, :1]
-        end = (
-            tf.nn.log_softmax
-            if converted.end == "log_softmax"
-            else tf.keras.activations.get(converted.end)
-        )
-        difference = np.abs(np.asarray(end(tf.constant(logits))) - outputs).max()
+        difference = np.abs(converted.end.function(tf.constant(logits)) - outputs).max()
         if not difference <= MAX_DIFFERENCE * np.abs(outputs).max():
             raise ModelFileError(NO_CHAIN)

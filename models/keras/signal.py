@@ -62,16 +62,26 @@ class Signal:
             for before, added in zip(self.pads, pads, strict=True)
         )
 
-    def find_channel_affine(self):
-        """Scale and offset of each channel, or None if the signal is not the built image."""
+    def find_channel_affine(self, same_shape: bool = True):
+        """Scale and offset of each channel, or None if the values are not the built ones in order.
+
+        Zeros padded around the image do not count.
+
+        Parameters
+        ----------
+        same_shape : bool
+            The built signal must also be an image, of the same shape.
+        """
         if not self.is_image:
             return None
         (top, bottom), (left, right) = self.pads
         rows, columns = self.shape[:2]
         inside = self.positions[top : rows - bottom, left : columns - right]
-        if inside.shape != self.built:
+        if inside.size != math.prod(self.built) or (same_shape and inside.shape != self.built):
             return None
         inside = inside.ravel()
+        if np.delete(self.offset, inside).any():  # what was padded has been shifted
+            return None
         scales = self.map[inside].diagonal()
         is_diagonal = abs(self.map[inside] - sparse.diags_array(scales)).max() == 0
         scales, offsets = (a.reshape(-1, self.shape[2]) for a in (scales, self.offset[inside]))
@@ -96,24 +106,6 @@ class Signal:
         """True if no value is negative where the built ones are not."""
         return min(self.map.data.min(initial=0), self.offset.min()) >= 0
 
-    def describe_obstacle(self) -> str:
-        """Why a convolution cannot read the signal as the built image, and the remedy."""
-        if (np.diff(self.map.indptr) > 1).any():
-            return (
-                "its input is averaged over windows that overlap or are cut off; use "
-                "AveragePooling2D(2), or a Dense after it"
-            )
-        if self.shape == self.built and self.map.nnz == self.map.diagonal().astype(bool).sum():
-            return (
-                "its input is normalised in another way at each place; normalise each channel as a "
-                "whole (axis=-1), or use a Dense after it"
-            )
-        return (
-            "its input is not the whole image before it in the order of rows, columns and "
-            "channels, because of a Permute, Reshape or Cropping2D; leave this out and train it "
-            "on images as they are, or use a Dense after it"
-        )
-
     @property
     def is_image(self) -> bool:
         """True if the signal has rows, columns and channels."""
@@ -131,21 +123,49 @@ class Signal:
 
     def average(self, size, strides, padding):
         """Average over windows of rows and columns; padded positions do not count."""
-        sides = zip(self.shape, size, strides, strict=False)
-        rows, columns = (_make_means(*side, padding) for side in sides)
-        over_channels = sparse.eye_array(self.shape[2])
-        matrix = sparse.kron(sparse.kron(rows, columns), over_channels).tocsr()
-        self.map = (matrix @ self.map).tocsr()
-        self.offset = matrix @ self.offset
-        self.shape = (rows.shape[0], columns.shape[0], self.shape[2])
+        rows, columns, channels = self.shape
+        window = np.ones((1, 1, *size))
+        sums = make_matrix(window, (rows, columns, 1), strides, padding)
+        means = sparse.diags_array(1 / sums.sum(1)) @ sums
+        self.map = (sparse.kron(means, sparse.eye_array(channels)) @ self.map).tocsr()
+        self.offset = (means @ self.offset.reshape(-1, channels)).ravel()
+        self.shape = (*compute_counts(self.shape, size, strides, padding), channels)
         self.pads = ((0, 0), (0, 0))
 
 
-def _make_means(n, size, stride, padding):
-    """The matrix of means over windows along one side; padded positions do not count."""
+def compute_counts(sides, size, strides, padding) -> list:
+    """Numbers of windows along rows and columns; 0 or less if none fits."""
+    along = zip(sides, size, strides, strict=False)
+    return [list_windows(*side, padding)[0] for side in along]
+
+
+def make_matrix(kernel, shape, strides, padding):
+    """A convolution as a matrix (outputs, inputs), channels last on both sides.
+
+    Parameters
+    ----------
+    kernel : ndarray, shape (filters, channels, rows, columns)
+    shape : tuple of int
+        (rows, columns, channels) of the input.
+    strides : (int, int)
+    padding : str
+
+    Returns
+    -------
+    scipy.sparse.csr_array
+    """
+    rows, columns = (
+        [_select_values(n, size, stride, padding, place) for place in range(size)]
+        for n, size, stride in zip(shape, kernel.shape[2:], strides, strict=False)
+    )
+    return sum(
+        sparse.kron(sparse.kron(rows[i], columns[j]), kernel[:, :, i, j], "csr")
+        for i, j in np.ndindex(kernel.shape[2:])
+    )
+
+
+def _select_values(n, size, stride, padding, place):
+    """A matrix (windows, n) that selects the value at a place of each window."""
     count, before, _ = list_windows(n, size, stride, padding)
-    matrix = np.zeros((max(count, 0), n))
-    for index, start in enumerate(range(-before, -before + count * stride, stride)):
-        window = slice(max(start, 0), min(start + size, n))
-        matrix[index, window] = 1 / (window.stop - window.start)
-    return sparse.csr_array(matrix)
+    chosen = np.arange(count) * stride - before + place
+    return sparse.csr_array((chosen[:, None] == np.arange(n)).astype(float))

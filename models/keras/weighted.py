@@ -1,14 +1,16 @@
 """Keras's layers with weights, convolutions and dense layers, in the layers of an architecture."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from deploy.network.geometry import list_windows
-from models.keras.converter import NO_CHAIN, RETRAIN, LayerConverter
-from models.keras.model import KerasLayer
+from models.keras.converter import RETRAIN, LayerConverter
+from models.keras.model import NO_CHAIN, KerasLayer
+from models.keras.signal import compute_counts, make_matrix
 from models.ops import Convolution
-from models.windows import Window, fit_to_chip, spread_kernel, sum_shifted
+from models.windows import Window, average_before, fit_to_chip, spread_kernel
 
 
 def convert_dense(converter: LayerConverter, layer: KerasLayer):
@@ -19,78 +21,101 @@ def convert_dense(converter: LayerConverter, layer: KerasLayer):
     if len(kernel) != len(converter.signal.offset):
         layer.refuse(NO_CHAIN)
     converter.append_dense(layer, kernel, bias)
-    converter.use_layer_activation(layer)
+    converter.use_activation(layer, layer.activation)
 
 
 def convert_convolution(converter: LayerConverter, layer: KerasLayer):
-    """Append a convolution, with its activation."""
-    if not converter.signal.is_image:
-        layer.refuse("its input has no rows and columns")
-    converter.require_activation(layer)
+    """Append a convolution, or its matrix if the chip has no such windows, with its activation."""
+    signal = converter.signal
     kernel, bias = _read_kernel_and_bias(layer)
-    if kernel.shape[1] != converter.signal.shape[2]:
+    if not signal.is_image or kernel.shape[1] != signal.shape[2]:
         layer.refuse(NO_CHAIN)
-    window, counts, (scale, offset) = _find_window(converter, layer, kernel)
-    if window.stride[0] != window.stride[1]:
-        layer.refuse("its strides along rows and columns differ; use the same")
-    padding = layer.config["padding"]
-    paddings = (padding, "same" if padding == "valid" else "valid")
-    built = converter.signal.built
-    fitting = fit_to_chip(window, built[:2], counts, paddings)
-    if fitting is None:
-        size = "x".join(map(str, window.kernel.shape[2:]))
-        layer.refuse(
-            f"its kernel of {size} with {window.before} zeros before the image has other "
-            "windows than a square kernel with padding='same' or 'valid'; use one of these"
-        )
-    kernel = fitting["weights"]
-    operation = Convolution(kernel.shape[-1], len(kernel), fitting["stride"], fitting["padding"])
-    if offset.any() and _reads_padding(window, built, counts):
-        _pad_without_offset(converter, layer, scale, offset)
-    if len(kernel) != max(layer.read_pair("kernel_size")):
-        size = f"{operation.kernel_size}x{operation.kernel_size}"
-        converter.notes.append(f"{layer}: its windows became a kernel of {size}")
-    bias = bias + np.einsum("ijcf,c->f", kernel, offset)
-    converter.append_sums(layer, operation, kernel * scale[:, None], bias)
-    converter.use_layer_activation(layer)
-
-
-def _find_window(converter, layer, kernel):
-    """The windows of a convolution on the built image, their counts, and its affine input.
-
-    Parameters
-    ----------
-    converter : LayerConverter
-    layer : KerasLayer
-    kernel : ndarray, shape (filters, channels, rows, columns)
-    """
     strides = layer.read_pair("strides")
-    sides = converter.signal.shape[:2]
-    along = [
-        list_windows(*side, layer.config["padding"])
-        for side in zip(sides, kernel.shape[2:], strides, strict=True)
-    ]
-    counts = [count for count, _, _ in along]
-    before = tuple(
-        zeros + pads[0] for (_, zeros, _), pads in zip(along, converter.signal.pads, strict=True)
-    )
+    padding = layer.config["padding"]
+    counts = compute_counts(signal.shape, kernel.shape[2:], strides, padding)
     if min(counts) < 1:
         layer.refuse("its kernel is larger than its input; use a smaller one")
-    affine = converter.signal.find_channel_affine()
-    if affine is not None:
-        return Window(kernel, strides, before), counts, affine
-    means = converter.means
-    if means is None or means.map is not converter.signal.map:
-        layer.refuse(converter.signal.describe_obstacle())
-    if any(zeros or after for _, zeros, after in along):
-        layer.refuse(
-            "pads zeros around averages over windows that overlap or are not square; use "
-            "padding='valid', AveragePooling2D(2), or a Dense after the averages"
+    converter.require_activation(layer)
+    if not _append_windows(converter, layer, kernel, bias, counts):
+        matrix = make_matrix(kernel, signal.shape, strides, padding)
+        converter.append_dense(layer, matrix.T, np.tile(bias, math.prod(counts)))
+        signal.arrange(signal.positions.reshape(*counts, -1))
+        converter.notes.append(
+            f"{layer}: its windows are not those of the chip (a square kernel with equal strides "
+            "and padding='same' or 'valid', on the image before it); takes the memory of a dense "
+            "layer"
         )
-    kernel = spread_kernel(kernel, 1, means.strides)
-    kernel = sum_shifted(kernel, means.size, (1, 1)) / math.prod(means.size)
-    strides = tuple(a * b for a, b in zip(strides, means.strides, strict=True))
-    return Window(kernel, strides, before), counts, means.affine
+    converter.use_activation(layer, layer.activation)
+
+
+def _append_windows(converter, layer, kernel, bias, counts) -> bool:
+    """Append a convolution if the chip has its windows."""
+    found = _find_windows(converter, layer, kernel.shape[2:])
+    if found is None:
+        return False
+    before, averaged, image, (scale, offset) = found
+    strides = layer.read_pair("strides")
+    padding = layer.config["padding"]
+
+    def fit(kernel):
+        window = Window(kernel, strides, before)
+        if averaged is not None:
+            window = average_before(window, averaged.size, averaged.strides)
+        paddings = (padding, "same" if padding == "valid" else "valid")
+        return window, fit_to_chip(window, image[:2], counts, paddings)
+
+    window, fitting = fit(kernel)
+    if fitting is None:
+        return False
+    weights = fitting["weights"]
+    operation = Convolution(weights.shape[-1], len(weights), fitting["stride"], fitting["padding"])
+    if offset.any() and _reads_padding(window, image, counts):
+        _pad_without_offset(converter, layer, scale, offset)
+    if len(weights) != max(layer.read_pair("kernel_size")):
+        size = f"{operation.kernel_size}x{operation.kernel_size}"
+        converter.notes.append(f"{layer}: its windows became a kernel of {size}")
+    bias = bias + np.einsum("ijcf,c->f", weights, offset)
+    if converter.maxima is not None:
+        weights = kernel.transpose(2, 3, 1, 0)
+        converter.maxima = replace(
+            converter.maxima,
+            widen=lambda kernel: fit(kernel.transpose(3, 2, 0, 1))[1]["weights"],
+            conv_strides=strides,
+        )
+        converter.signal.begin(image)
+    converter.append_sums(layer, operation, weights * scale[:, None], bias)
+    return True
+
+
+def _find_windows(converter, layer, size):
+    """What a convolution reads of an image, or None if it reads no image.
+
+    Returns
+    -------
+    before : tuple of int
+        Zeros before the first row and column.
+    averaged : WindowMeans, MaxPool or None
+        The averages that it reads.
+    image : tuple of int
+    affine : tuple of ndarray
+        Scale and offset of each channel.
+    """
+    if converter.ends_dense:
+        return None
+    signal = converter.signal
+    along = zip(signal.shape, size, layer.read_pair("strides"), strict=False)
+    zeros = [list_windows(*side, layer.config["padding"])[1:] for side in along]
+    before = tuple(n[0] + pads[0] for n, pads in zip(zeros, signal.pads, strict=True))
+    affine = signal.find_channel_affine()
+    if affine is not None and converter.maxima is None:
+        return before, None, signal.built, affine
+    is_padded = signal.is_padded or any(map(any, zeros))
+    if affine is not None and converter.maxima.padding == "valid" and not is_padded:
+        return before, converter.maxima, converter.maxima.image, affine
+    means = converter.means
+    if means is None or means.map is not signal.map or is_padded:
+        return None
+    return before, means, signal.built, means.affine
 
 
 def _pad_without_offset(converter, layer, scale, offset):

@@ -236,6 +236,81 @@ def exact(keras):
             layers.Flatten(),
             layers.Dense(3),
         ),
+        "not_square": chain(
+            (6, 6, 1),
+            layers.Conv2D(3, (3, 2), activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "uneven_strides": chain(
+            (6, 6, 1),
+            layers.Conv2D(3, 3, strides=(1, 2), padding="same"),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+            layers.AveragePooling2D(2),
+            layers.Conv2D(3, 1, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "overlapping_means": chain(
+            (8, 8, 1),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.AveragePooling2D(3, strides=2),
+            layers.Conv2D(3, 2, padding="same", activation="relu"),
+            layers.GlobalAveragePooling2D(),
+            layers.Dense(3),
+        ),
+        "relu_after_means": chain(
+            (8, 8, 1),
+            layers.Conv2D(3, 3),
+            layers.AveragePooling2D(2),
+            layers.ReLU(),
+            layers.Conv2D(3, 2),
+            layers.Flatten(),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+            layers.Dense(3),
+        ),
+        "cropped": chain(
+            (8, 8, 1),
+            layers.Cropping2D(1),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.Permute((2, 1, 3)),
+            layers.Conv2D(3, 2, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "channels_moved": chain(
+            (2, 6, 7),
+            layers.Permute((2, 3, 1)),
+            layers.ZeroPadding2D(3),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "normalised_zeros": chain(
+            (7, 7, 1),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.ZeroPadding2D(1),
+            layers.BatchNormalization(),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "normalised_by_row": chain(
+            (8, 8, 1),
+            layers.Normalization(axis=1, mean=np.arange(8.0) / 8, variance=np.ones(8)),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "linear_convolution": chain(
+            (30, 30, 1),
+            layers.Conv2D(8, 3, activation="relu"),
+            layers.Conv2D(5, 1),
+            layers.GlobalAveragePooling2D(),
+            layers.Softmax(),
+        ),
         "pixels": chain(
             (6, 6, 1),
             layers.Rescaling(1 / 255),
@@ -287,6 +362,40 @@ def inexact(keras):
             layers.BatchNormalization(),
             layers.ReLU(),
         ),
+        "maxima_cut_off": chain(
+            layers.Conv2D(4, 2, activation="relu"),
+            layers.MaxPooling2D(2, padding="same", name="cause"),
+            layers.Conv2D(5, 2),
+            layers.MaxPooling2D(3, strides=2, padding="same"),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+        ),
+        "overlapping_maxima_before_convolution": chain(
+            layers.Conv2D(4, 3, padding="same", activation="relu"),
+            layers.MaxPooling2D(3, strides=2, name="cause"),
+            layers.BatchNormalization(),
+            layers.Conv2D(5, 2),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+            layers.MaxPooling2D(3, strides=1),
+            layers.Conv2D(3, 1),
+            layers.GlobalAveragePooling2D(),
+        ),
+        "maxima_normalised": chain(
+            layers.Conv2D(4, 3),
+            layers.MaxPooling2D(2, name="cause"),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+            layers.Conv2D(4, 2),
+            layers.MaxPooling2D(2, strides=1),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+        ),
+        "prelu": chain(
+            layers.Conv2D(4, 3),
+            layers.PReLU(name="cause"),
+            layers.Conv2D(4, 3, activation="hard_sigmoid"),
+        ),
         "lenet": chain(
             layers.Conv2D(4, 3, activation="tanh", name="cause"),
             layers.AveragePooling2D(2),
@@ -336,10 +445,7 @@ def bad(keras):
 
     models["function"] = chain(conv(activation=lambda x: x * x))
     models["lambda"] = chain(conv(), layers.Lambda(lambda x: 2 * x, name="double"))
-    models["not_square"] = chain(conv(kernel_size=(3, 2)))
-    models["uneven_strides"] = chain(conv(strides=(1, 2)))
-    models["relu_after_pooling"] = chain(conv(activation=None), layers.AveragePooling2D(2),
-                                         layers.ReLU())  # fmt: skip
+    models["large_matrix"] = chain(conv(kernel_size=(3, 2)), shape=(60, 60, 1))
     models["relu_first"] = chain(layers.ReLU(name="early"))
     models["no_hidden_layer"] = keras.Sequential(
         [keras.Input((5, 4)), layers.Flatten(), layers.Dense(2, activation="softmax")]
@@ -349,29 +455,14 @@ def bad(keras):
         end=[layers.Flatten(), layers.Dense(3, "softmax", name="early"), layers.Dense(3)]
     )
     models["no_dense_output"] = chain(conv(), end=[])
-    models["overlapping_means"] = chain(
-        conv(),
-        layers.AveragePooling2D(3, strides=2),
-        conv(kernel_size=2, padding="same", name="d"),
+    models["maximum_of_maxima"] = chain(
+        conv(), layers.MaxPooling2D(3, strides=2), layers.MaxPooling2D(2, name="second")
     )
-    models["maxima_cut_off"] = chain(
-        conv(kernel_size=2), layers.MaxPooling2D(2, padding="same"), conv(kernel_size=2, name="d")
-    )
-    models["other_padding"] = chain(layers.ZeroPadding2D(3), conv())
-    models["other_order"] = chain(layers.Permute((2, 1, 3)), conv())
-    models["cropped"] = chain(layers.Cropping2D(1), conv())
-    by_row = layers.Normalization(axis=1, mean=np.arange(8.0) / 8, variance=np.ones(8))
-    models["normalised_by_row"] = chain(by_row, conv())
     image = keras.Input((8, 8, 1))
     models["operation"] = keras.Model(image, layers.Dense(3)(layers.Flatten()(conv()(image / 2.0))))
     models["unknown_rows"] = chain(shape=(200,), end=[layers.Dense(3)])
     models["dense_on_images"] = chain(layers.Dense(3, "relu", name="each"))
     models["offset_and_padding"] = chain(layers.Rescaling(1.0, offset=0.5), conv(padding="same"))
-    models["normalised_flat"] = chain(
-        conv(activation=None),
-        end=[layers.Flatten(), layers.BatchNormalization(name="flat"), layers.ReLU(),
-             layers.Dense(3)],
-    )  # fmt: skip
     models["any_size"] = chain(
         conv(), layers.GlobalAveragePooling2D(), shape=(None, None, 1), end=[layers.Dense(3)]
     )
@@ -428,7 +519,7 @@ def write(keras, folder, suffix):
         np.savez(folder / f"{name}.npz", inputs=inputs, outputs=outputs)
         save(model, folder / name, suffix)
     for name, model in bad(keras).items():
-        if name in ("not_a_number", "infinite_variance", "normalised_flat"):
+        if name in ("not_a_number", "infinite_variance"):
             randomise(model, 0)
         if name == "not_a_number":
             kernel, bias = model.layers[0].get_weights()

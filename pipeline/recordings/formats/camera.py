@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from deploy.errors import shorten_error
+from deploy.terminal import silence_native_errors
 from pipeline.recordings.formats.atis import is_old_dat, read_old_dat
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
@@ -51,16 +52,9 @@ def read_camera(content: bytes, name: str) -> EventRecording:
     with tempfile.TemporaryDirectory() as folder:  # faery opens files by their names only
         path = Path(folder) / f"recording{ending}"
         path.write_bytes(content)
-        parts = []
-        number = 0
         try:
-            stream = faery.events_stream_from_file(path)
-            columns, rows = stream.dimensions()
-            for part in stream:
-                parts.append(part.copy())
-                number += len(part)
-                if number > MAX_EVENTS:
-                    raise BadRecording(f"has more than {MAX_EVENTS} events")
+            with silence_native_errors():  # a panic of faery's Rust prints where it happened
+                events, (columns, rows) = _read_events(faery, path)
         except BadRecording:
             raise
         except BaseException as error:
@@ -72,7 +66,17 @@ def read_camera(content: bytes, name: str) -> EventRecording:
                 f"cannot be read by faery ({reason}); it is damaged, or not a {ending} file that "
                 "faery supports: convert it to .npz with arrays x, y, t and p"
             ) from error
-    events = np.concatenate(parts) if parts else np.empty(0, faery.EVENTS_DTYPE)
     recording = make_recording({"t_us": events["t"], **{name: events[name] for name in "xyp"}})
     # Events outside of the size are reported with the source.
     return replace(recording, size=(int(rows), int(columns)))
+
+
+def _read_events(faery, path):
+    """The events of a file, and the numbers of columns and rows."""
+    stream = faery.events_stream_from_file(path)
+    parts = [np.empty(0, faery.EVENTS_DTYPE)]
+    for part in stream:
+        parts.append(part.copy())
+        if sum(map(len, parts)) > MAX_EVENTS:
+            raise BadRecording(f"has more than {MAX_EVENTS} events")
+    return np.concatenate(parts), stream.dimensions()

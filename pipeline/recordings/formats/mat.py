@@ -94,7 +94,10 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     names = (VARIABLE, "simulated", "written", "writer")
     variables = read_variables(content, lambda name, shape: name in names)
     if VARIABLE not in variables:
-        raise BadRecording(f"has no variable {VARIABLE!r}")
+        raise BadRecording(
+            f"has no variable {VARIABLE!r}, as ST-MNIST's files have; write other recordings "
+            "as .npz with arrays x, y, t and p"
+        )
     simulated, written, writer = (_read_number(variables.get(name)) for name in names[1:])
     spiketrain = np.asarray(variables[VARIABLE])
     events = read_spiketrain(spiketrain, n_taxels)
@@ -207,7 +210,9 @@ def read_variables(content: bytes, fits) -> dict:
         if content[512:520] == b"\x89HDF\r\n\x1a\n":
             raise BadRecording("is a MATLAB 7.3 file; save it with '-v7', as ST-MNIST's are")
         if not content.startswith(HEADER):
-            raise BadRecording("is not a MAT file")
+            raise BadRecording(
+                "is not a MATLAB 5 file; if it is one of MATLAB 4, save it with '-v7'"
+            )
         return _read_mat5(content, fits)
     except (BadRecording, MemoryError):
         raise

@@ -340,7 +340,8 @@ def _split_columns(events):
         return dict(zip(ARRAYS, rows.T, strict=True)), ""
     raise BadRecording(
         f"is an array of shape {rows.shape}, not four arrays x, y, t, p, a structured array, "
-        "rows of four numbers, or counts (taxels, channels, bins)"
+        "rows of four numbers, or counts (taxels, channels, bins); in text, name more columns than "
+        "these in the first line, such as t,x,y,p"
     )
 
 

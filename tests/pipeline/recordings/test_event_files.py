@@ -85,7 +85,7 @@ def test_a_format_is_read(name):
 @pytest.mark.parametrize(("suffix", "version"), [
     (".aedat4", None), (".raw", "evt2"), (".raw", "evt3"), (".dat", "dat2"),
 ])  # fmt: skip
-def test_a_camera_s_file_is_read(tmp_path, suffix, version):
+def test_a_camera_s_file_is_read(tmp_path, capfd, suffix, version):
     faery = pytest.importorskip("faery", reason="reads files of cameras")
     events = np.empty(4, faery.EVENTS_DTYPE)
     events["t"], events["x"], events["y"], events["on"] = 1000 * T, X, Y, P
@@ -97,9 +97,11 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
     np.testing.assert_array_equal(np.diff(read.time), np.diff(1000 * T))
     np.testing.assert_array_equal(read.polarity, 2 * P - 1)
     assert (read.unit, read.size) == ("us", (ROWS, COLUMNS))
-    for damaged in (path.read_bytes()[:40], b"no camera's", b""):
+    header_alone = b"#!AER-DAT4.0\r\n" + bytes(200)
+    for damaged in (path.read_bytes()[:40], b"no camera's", b"", header_alone):
         with pytest.raises(BadRecording):
             read_file(damaged, path.name)
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("name", "content", "fact"), [
