@@ -286,6 +286,8 @@ def read_bundle(path) -> Bundle:
         if (path.parent / RUN_SETTINGS).exists() and not path.exists():
             remedy = format_command("convert", path.parent)
             raise UserError(f"{path.parent}: has no bundle yet; make it with {remedy}")
+        if not path.exists():
+            raise UserError(f"{path}: does not exist; give the folder of a run or of a bundle")
         raise UserError(f"{path}: not a bundle; give the folder of one, as 'stmnist convert' makes")
     manifest = read_json(path / "MANIFEST.json", _REMEDY)
     _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)

@@ -45,6 +45,7 @@ def export(
     """Export the network for other neuromorphic platforms."""
     from deploy.files import write_arrays
     from deploy.network.nir import make_graph_input, write_nir
+    from pipeline.settings import Settings
 
     require_ending(out, ".nir")
     if inputs is not None:
@@ -57,7 +58,8 @@ def export(
         silent = 1000 * stimulus.step_seconds * stimulus.refractory
         show(f"convert with --step {step:g} --set input.refractory={silent:g} for the same input")
     elif opened.spec.input_shape[-1] > 1:
-        show("convert with --input image and the settings image.* of the run for the same input")
+        names = ", ".join(name for name in Settings().flatten() if name.startswith("image."))
+        show(f"convert with --input image and the run's settings for the same input: {names}")
     if inputs is not None:
         checks = opened.checks
         write_arrays(

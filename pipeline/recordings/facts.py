@@ -29,6 +29,8 @@ def format_facts(facts: dict, recordings: Recordings) -> str:
     source = escape_control(facts["source"])
     text = f"{facts['samples']} {recordings_name} in {source}; of each class: {of_each}\n"
     text += format_count(facts)
+    if len(facts["samples_per_class"]) == 1:
+        text += "\nA network needs recordings of at least two classes."
     if sensor != Sensor():
         text += f"\n{describe_recordings(recordings)}"
     return text

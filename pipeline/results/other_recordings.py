@@ -243,8 +243,8 @@ def _describe_limits(spec, recordings):
     if all(units) and units[0] != units[1]:
         read_unit, usual_unit = (UNIT_NAMES[unit] for unit in units)
         yield (
-            f"times are read as {read_unit}, those of the training as {usual_unit}; give the unit "
-            "with --time-unit"
+            f"times are read as {read_unit}, those of the training as {usual_unit}; if that is "
+            "wrong, give the unit with --time-unit"
         )
     elif units[0] and (typical_s := _measure_typical_duration_s(recordings)) < MIN_DURATION_S:
         yield (

@@ -251,10 +251,15 @@ def is_automatic(name: str, value) -> bool:
 
 
 def _suggest_name(error):
-    """The known name that is most similar to an unknown one."""
-    unknown = error.problem == "is unknown"
-    near = difflib.get_close_matches(error.name, Settings().flatten(), n=1) if unknown else []
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    """The known names that end with an unknown one, or else the most similar one."""
+    if error.problem != "is unknown":
+        return ""
+    known = list(Settings().flatten())
+    near = [repr(name) for name in known if name.endswith(f".{error.name}")]
+    near = near or [repr(name) for name in difflib.get_close_matches(error.name, known, n=1)]
+    if not near:
+        return "; 'stmnist settings' lists all"
+    return f" (did you mean {' or '.join(near)}?)"
 
 
 def list_names_in(section: str) -> tuple:

@@ -254,3 +254,19 @@ def test_steps_that_are_left_open():
         on_events = settings.with_values(changes)
         assert (on_events.make_presentation().steps, on_events.input.refractory_steps) == expected
         assert on_events.with_values({"presentation": {"steps": 7}}).make_presentation().steps == 7
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [
+        ("epochs", ["'cnn.epochs'", "'snn.epochs'", "'events.epochs'"]),
+        ("events.epoch", ["'events.epochs'"]),
+        ("xyz", ["stmnist settings"]),
+    ],
+)
+def test_an_unknown_name_is_answered_with_known_ones(name, known):
+    section, _, entry = name.rpartition(".")
+    values = {section: {entry: 3}} if section else {entry: 3}
+    with pytest.raises(UserError) as caught:
+        Settings().with_values(values, "--set")
+    assert all(each in str(caught.value) for each in known)

@@ -114,7 +114,7 @@ def list_source(path, labelled: bool = True) -> Listing:
         return _list_file(path)
     members = list_members(path)
     candidates, tables = _separate_tables(path, members.files)
-    recordings, others = _choose_format(path, candidates)
+    recordings, others = _choose_format(path, candidates, labelled)
     refused = members.refused + others
     class_folders = find_class_folders(path, recordings)
     entries = []
@@ -173,7 +173,7 @@ def _find_class_order(files, class_folders):
     return found[0] if found else None
 
 
-def _choose_format(path, members):
+def _choose_format(path, members, labelled):
     """The recordings, which have one suffix, and the other files, each with the reason."""
     examples = {member.suffix.lower(): member for member in reversed(members)}
     examples = {suffix: examples[suffix] for suffix in READERS if suffix in examples}
@@ -186,9 +186,9 @@ def _choose_format(path, members):
             )
         if any(member.suffix.lower() == OLD_SUFFIX for member in members):
             raise UserError(f"{path}: holds no recordings that can be read; {CONVERT_OLD}")
+        folders = "a folder for each class with files" if labelled else "files"
         raise UserError(
-            f"{path}: holds no recordings; expected a folder for each class with files of events "
-            "(.mat, .npz and others)"
+            f"{path}: holds no recordings; expected {folders} of events (.mat, .npz and others)"
         )
     if len(examples) > 1:
         raise UserError(

@@ -117,7 +117,8 @@ def _find_outside(path, recordings, extents, options):
         size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
         raise UserError(
             f"{path}: recordings of a sensor of {size[0]} rows x {size[1]} columns, larger than "
-            f"{_describe_stated_size(options)}; give recordings of a sensor of that size"
+            f"the required size ({_describe_stated_size(options)}); give recordings of a sensor of "
+            "that size"
         )
     reasons = {}
     for index in np.flatnonzero(outside).tolist():

@@ -123,8 +123,9 @@ def test_a_log_in_the_folder_is_not_in_the_way_and_not_lost(bundle):
 
 
 def test_what_is_no_bundle(tmp_path):
-    for path in (tmp_path / "nowhere", tmp_path):
-        with pytest.raises(UserError, match=f"{re.escape(str(path))}: not a bundle"):
+    missing = tmp_path / "nowhere"
+    for path, fact in ((missing, "does not exist"), (tmp_path, "not a bundle")):
+        with pytest.raises(UserError, match=f"{re.escape(str(path))}: {fact}"):
             read_bundle(path)
 
 

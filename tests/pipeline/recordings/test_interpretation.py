@@ -262,7 +262,8 @@ def test_taxels_in_no_square_are_a_strip(tmp_path):
 
 def test_recordings_of_a_larger_sensor_are_one_line_about_the_sensor(tmp_path):
     (line,) = refused(tmp_path, own(), ReadingOptions(4, 5))
-    assert "of 9 rows x 12 columns, larger than skin.rows=4 and skin.columns=5" in line
+    assert "of 9 rows x 12 columns, larger than the required size" in line
+    assert "skin.rows=4 and skin.columns=5" in line
     one = {f"{CLASSES[0]}/far.npz": npz(x=[30, 1], y=[1, 1], t=[0, 900_000], p=[0, 1])}
     (line,) = refused(tmp_path, {**own(), **one}, ReadingOptions(ROWS, COLUMNS))
     assert missing(line, "1 of 17 ", "far.npz", "x = 30") == []
