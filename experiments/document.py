@@ -102,7 +102,9 @@ def describe_commands() -> str:
 
 def describe_settings() -> str:
     """Every setting with its default and meaning, as Markdown, a heading for each section."""
-    lines = []
+    sections = dict.fromkeys(row["name"].rpartition(".")[0] for row in describe(Settings()))
+    links = " · ".join(f"[{name}](#{name})" for name in sections if name)
+    lines = [f"Sections: {links}"]
     for section, rows in groupby(describe(Settings()), lambda row: row["name"].rpartition(".")[0]):
         about = getattr(Settings(), section) if section else Settings()
         lines += [

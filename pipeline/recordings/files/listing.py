@@ -72,6 +72,8 @@ class Listing:
         Member path of ``classes.txt``, in the folder of the classes' folders.
     refused : tuple of (str, str)
         Path and reason of each file or folder that does not belong to a source.
+    is_one_file : bool
+        True if the source is one recording; ``path`` is the folder that it is in.
     """
 
     path: Path
@@ -80,6 +82,12 @@ class Listing:
     positions: str | None
     class_order: str | None
     refused: tuple
+    is_one_file: bool = False
+
+    @property
+    def name(self) -> str:
+        """The name of the zip, folder or file."""
+        return self.entries[0].member if self.is_one_file else self.path.name
 
     @property
     def total(self) -> int:
@@ -142,7 +150,8 @@ def _list_file(path):
     """The listing of one recording, with the tables in the same folder."""
     beside = {entry.name.lower(): entry.name for entry in path.parent.iterdir() if entry.is_file()}
     tables = [beside.get(name) for name in (LOOKUP_TABLE, POSITIONS)]
-    return Listing(path.parent, (Entry(path.name, "", ""),), *tables, None, ())
+    entries = (Entry(path.name, "", ""),)
+    return Listing(path.parent, entries, *tables, None, (), is_one_file=True)
 
 
 def _separate_tables(path, files):

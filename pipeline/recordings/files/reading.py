@@ -221,7 +221,7 @@ def _describe_order(order) -> list:
 def _make_source(listing: Listing, files, interpretation: Interpretation, remarks: tuple):
     """The source of recordings that were read."""
     return Source(
-        name=listing.path.name,
+        name=listing.name,
         sha256=hash_content(listing),
         simulated=any(recording.simulated for recording in files.recordings),
         written=all(recording.written for recording in files.recordings),

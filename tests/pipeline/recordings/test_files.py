@@ -15,6 +15,7 @@ from pipeline.recordings.files.listing import list_source
 from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.files.writing import write_mat_zip
 from pipeline.recordings.formats.mat import encode_lookup_table
+from pipeline.recordings.interpretation.options import ReadingOptions
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.sources import load_recordings
 from tests.pipeline.handmade import (
@@ -349,3 +350,10 @@ def test_folders_on_another_disk(tmp_path):
     (own / "taxels.csv").write_text("taxel,x,y")
     (tmp_path / "disk" / "a" / "again").symlink_to(own)
     assert len(list_source(own).entries) == 9
+
+
+def test_a_single_recording_is_a_source_of_its_own_name(tmp_path):
+    path = put(tmp_path / "some", members()) / "a" / "0.npz"
+    options = ReadingOptions(labelled=False)
+    assert read_source(path, jobs=1, reading=options).source.name == "0.npz"
+    assert read_source(path.parent, jobs=1, reading=options).source.name == "a"
