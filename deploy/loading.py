@@ -69,9 +69,17 @@ class KeyOf:
         return f"one of {', '.join(self._table)}"
 
 
-def limited_field(limit: Union[Limit, KeyOf], default=MISSING):
-    """A field of a dataclass with a limit; its value may be None if the hint allows it."""
-    return field(default=default, metadata={"limit": limit})
+def limited_field(limit: Union[Limit, KeyOf], default=MISSING, name_in_file: str = ""):
+    """A field of a dataclass with a limit; its value may be None if the hint allows it.
+
+    Parameters
+    ----------
+    limit : Limit or KeyOf
+    default : optional
+    name_in_file : str
+        Name by which :func:`load_dataclass` finds the value; default: that of the field.
+    """
+    return field(default=default, metadata={"limit": limit, "name_in_file": name_in_file})
 
 
 class WrongValue(ValueError):
@@ -99,7 +107,7 @@ def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
     kind : type
         The dataclass.
     values : dict
-        By the names of its fields.
+        By the names of its fields, or their names in files.
     name : str
         Dotted name of the whole in error messages.
     ignore_extra : bool
@@ -116,7 +124,11 @@ def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
     """
     if not isinstance(values, dict):
         raise WrongValue(name, f"must be a table of values, not {_shorten(values)}")
-    entries = {entry.name: entry for entry in fields(kind) if entry.init}
+    entries = {
+        entry.metadata.get("name_in_file") or entry.name: entry
+        for entry in fields(kind)
+        if entry.init
+    }
     built = {}
     unknown = sorted(str(key)[:40] for key in set(values) - set(entries))
     if unknown and not ignore_extra:
@@ -124,9 +136,10 @@ def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
     for entry_name, entry in entries.items():
         full_name = _join_names(name, entry_name)
         if entry_name in values:
-            hint = _read_hints(kind)[entry_name]
-            built[entry_name] = _build_value(hint, values[entry_name], full_name, ignore_extra)
-            _require_limit(entry.metadata.get("limit"), built[entry_name], full_name)
+            hint = _read_hints(kind)[entry.name]
+            value = _build_value(hint, values[entry_name], full_name, ignore_extra)
+            _require_limit(entry.metadata.get("limit"), value, full_name)
+            built[entry.name] = value
         elif entry.default is MISSING and entry.default_factory is MISSING:
             raise WrongValue(full_name, "is missing")
     try:
@@ -135,8 +148,8 @@ def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
         raise WrongValue(_join_names(name, error.name), error.problem) from error
 
 
-def check(instance):
-    """Check types and limits of a dataclass that was made otherwise, for its ``__post_init__``.
+def require_valid(instance):
+    """Refuse a dataclass with a value of a wrong type or beyond its limit, in ``__post_init__``.
 
     Raises
     ------

@@ -30,7 +30,7 @@ from pipeline.results.study import Case, run_study
 from pipeline.settings import SIMULATED
 from pipeline.simulation import parameters
 from pipeline.sources import load_simulated
-from pipeline.training.adaptation.adapt import add_rehearsal, require_fit
+from pipeline.training.adaptation.adapt import add_rehearsal, require_adaptable_recordings
 from pipeline.training.adaptation.refit import Person, refit
 from pipeline.training.adaptation.responder import Responder
 from pipeline.workflow import open_experiment
@@ -129,7 +129,7 @@ def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
         :data:`MEASURES`: accuracies before and after on the person and on others, and the share of
         draws in which the network was changed.
     """
-    require_fit(spec, recordings)
+    require_adaptable_recordings(spec, recordings)
     responder = Responder(spec, seed)
     readout = spec.layers[-1]
     rehearsal = spec.rehearsal

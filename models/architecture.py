@@ -66,7 +66,7 @@ class Architecture:
             raise ValueError("the last layer is not an output")
         shape = self.input_shape
         for layer in self.layers:
-            _check_position(layer, shape, layer is self.layers[-1])
+            _require_position(layer, shape, layer is self.layers[-1])
             shape = layer.compute_shape(shape)
 
     @property
@@ -224,7 +224,7 @@ def _parse_layer(token: str, shape: tuple, is_last: bool):
     layer = _read_token(token)
     if layer is None:
         raise ValueError(f"must be a layer: {_describe_tokens()}")
-    _check_position(layer, shape, is_last)
+    _require_position(layer, shape, is_last)
     weights = [math.prod(s) for s in layer.list_array_shapes(shape).values()]
     shape = layer.compute_shape(shape)
     if is_last and math.prod(shape) < 2:
@@ -272,8 +272,8 @@ def _read_token(token):
     return None
 
 
-def _check_position(layer, input_shape, last):
-    """Raise ValueError for a layer at a position where its kind is not allowed."""
+def _require_position(layer, input_shape, last):
+    """Refuse a layer at a position where its kind is not allowed, by a ValueError."""
     if layer.is_spatial and len(input_shape) == 1:
         raise ValueError(f"is {layer.noun} after a layer without rows and columns")
     if layer.output and not last:

@@ -290,7 +290,7 @@ def read_bundle(path) -> Bundle:
             raise UserError(f"{path}: does not exist; give the folder of a run or of a bundle")
         raise UserError(f"{path}: not a bundle; give the folder of one, as 'stmnist convert' makes")
     manifest = read_json(path / "MANIFEST.json", _REMEDY)
-    _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
+    _require_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
         raise UserError(f"{path / 'MANIFEST.json'}: does not list the files of a bundle; {_REMEDY}")
@@ -300,7 +300,7 @@ def read_bundle(path) -> Bundle:
         if hash_file(path / name) != hashes[name]:
             raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
     description = read_json(path / "network.json", _REMEDY)
-    _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
+    _require_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
     try:
         spec = NetworkSpec.from_json(description, read_arrays(path / "weights.npz", _REMEDY))
         checks = _read_checks(path / "checks.npz", spec)
@@ -347,7 +347,7 @@ def _find_problem(arrays, spec):
     return spec.stimulus.find_problem(inputs, spec.input_shape, spec.presentation.steps)
 
 
-def _check_schema(path, schema, known):
+def _require_schema(path, schema, known):
     if schema != known:
         raise UserError(
             f"{path}: schema {schema!r}, but this version reads {known!r}; "

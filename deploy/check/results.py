@@ -145,7 +145,7 @@ def _measure_while_written(bundle, decisions, labels, samples) -> dict:
         stopped = np.array([sample["stopped_at"] for sample in samples])
         right = right_at(stopped)
         value["by_itself"] = {
-            "confidence": spec.presentation.confidence,
+            "confidence": spec.presentation.threshold,
             "accuracy": float(right.mean()),
             "accuracy_ci95": list(compute_wilson_interval(int(right.sum()), len(right))),
             "share_of_writing_mean": float(compute_share_of_time(stopped - 1, written - 1).mean()),

@@ -146,21 +146,26 @@ def delay_outputs(outputs, n_steps: int) -> np.ndarray:
 
 
 class Threshold(NamedTuple):
-    """A threshold, and its results on the samples on which it was chosen.
+    """A threshold of the confidence, and its results on the samples on which it was chosen.
 
     Attributes
     ----------
-    confidence : float
-        From 0 to 1; no confidence reaches 1, which means a decision at the end.
+    value : float
+        Confidence at which the network decides, from 0 to 1; no confidence reaches 1, which means a
+        decision at the end.
     accuracy : float
         Share of right decisions.
     share : float
         Mean share of a sample's duration until the decision.
     """
 
-    confidence: float
+    value: float
     accuracy: float
     share: float
+
+    def to_json(self) -> dict:
+        """The values by their names in files."""
+        return {"confidence": self.value, "accuracy": self.accuracy, "share": self.share}
 
 
 def compute_confidence(

@@ -23,10 +23,10 @@ from ..loading import (
     Limit,
     WrongValue,
     between,
-    check,
     limited_field,
     load_dataclass,
     one_of,
+    require_valid,
 )
 from .geometry import compute_pooled_shape, sum_windows
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
@@ -68,7 +68,7 @@ class Neurons:
     min_voltage: float = limited_field(between(-limits.MAGNITUDE, 0), 0.0)
 
     def __post_init__(self):
-        check(self)
+        require_valid(self)
 
 
 @dataclass(frozen=True)
@@ -129,13 +129,13 @@ class Layer:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         try:
-            check(self)
-            check(self.operation)
+            require_valid(self)
+            require_valid(self.operation)
         except WrongValue as error:
             raise UserError(f"network description: layer {self.name!r}: {error}") from error
         self._convert_arrays()
-        self._check_abilities()
-        self._check_shapes()
+        self._require_abilities()
+        self._require_shapes()
 
     def _require(self, condition, problem):
         require(condition, f"layer {self.name!r}", problem)
@@ -153,7 +153,7 @@ class Layer:
             )
             object.__setattr__(self, name, array)
 
-    def _check_abilities(self):
+    def _require_abilities(self):
         """Refuse neurons, sections and recurrent weights where a layer cannot have them."""
         has_neurons = self.neurons is not None
         self._require(
@@ -173,7 +173,7 @@ class Layer:
             not common, f"its operation has numbers with the names of a layer's values: {common}"
         )
 
-    def _check_shapes(self):
+    def _require_shapes(self):
         """Compare the shapes with those of the operation."""
         is_image = self.operation.is_spatial or self.pool > 1
         self._require(

@@ -65,7 +65,7 @@ class TargetOutput:
             spike_hashes=np.array(hashes),
         )
 
-    def check_shapes(self, spec: NetworkSpec, n_samples: int, target: str):
+    def require_shapes(self, spec: NetworkSpec, n_samples: int, target: str):
         """Refuse what cannot be the output of a network for some samples.
 
         Raises

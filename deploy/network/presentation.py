@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Optional
 
 from .. import limits
-from ..loading import Limit, WrongValue, between, check, limited_field
+from ..loading import Limit, WrongValue, between, limited_field, require_valid
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Presentation:
         Steps at the start of each sample that the readout ignores.
     stream_length : int
         Samples per stream; 1 means that every sample starts from a fresh network.
-    confidence : float or None
-        Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
-        the end.
+    threshold : float or None
+        Confidence at which the network decides early, see :mod:`deploy.network.decision`; None for
+        a decision at the end.  In files its name is ``confidence``.
 
     Raises
     ------
@@ -42,19 +42,25 @@ class Presentation:
     gap: int = limited_field(between(0, limits.STEPS), 20)
     readout_start: int = limited_field(between(0, limits.STEPS), 20)
     stream_length: int = limited_field(between(1, limits.SAMPLES), 10)
-    confidence: Optional[float] = limited_field(
-        Limit(lambda value: 0 < value <= 1, "above 0, at most 1"), None
+    threshold: Optional[float] = limited_field(
+        Limit(lambda value: 0 < value <= 1, "above 0, at most 1"), None, name_in_file="confidence"
     )
 
     @property
-    def threshold(self) -> float:
-        """The confidence for an early decision; without one 1, which none reaches."""
-        return 1.0 if self.confidence is None else self.confidence
+    def threshold_or_1(self) -> float:
+        """The threshold; without one 1, which no confidence reaches."""
+        return 1.0 if self.threshold is None else self.threshold
 
     @property
     def period(self) -> int:
         """Steps from one sample to the next, including the gap."""
         return self.gap + self.steps
+
+    def to_json(self) -> dict:
+        """The values by their names in files."""
+        values = asdict(self)
+        values["confidence"] = values.pop("threshold")
+        return values
 
     def list_streams(self, n_samples: int) -> list:
         """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
@@ -64,7 +70,7 @@ class Presentation:
         ]
 
     def __post_init__(self):
-        check(self)
+        require_valid(self)
         if self.readout_start >= self.steps:
             raise WrongValue(
                 "readout_start", f"must be from 0 to below presentation.steps ({self.steps})"

@@ -76,7 +76,7 @@ class Responses:
 def make_responses(
     spec: NetworkSpec, output: TargetOutput, n_samples: int, target: str
 ) -> Responses:
-    """Check what a target yields for a stream, and read scores and decisions from it.
+    """Refuse what no target may yield for a stream, and read scores and decisions from it.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def make_responses(
     if not isinstance(output, TargetOutput):
         kind = type(output).__name__
         raise ValueError(f"target {target!r}: it yields {kind}, not TargetOutput")
-    output.check_shapes(spec, n_samples, target)
+    output.require_shapes(spec, n_samples, target)
     readout = np.asarray(output.readout, float)
     if readout.shape[-1] != spec.layers[-1].size:
         readout = select_readout(spec, readout)
@@ -122,7 +122,7 @@ def compute_responses(spec: NetworkSpec, output: np.ndarray, spikes: Optional[di
     """
     spikes = {} if spikes is None else spikes
     start = spec.presentation.readout_start
-    threshold = spec.presentation.confidence
+    threshold = spec.presentation.threshold
     scores = compute_running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
     best = np.argmax(round_scores(scores, find_score_unit(spec)), axis=2)

@@ -143,7 +143,7 @@ class NetworkSpec:
             "input_shape": list(self.input_shape),
             "stimulus": {"kind": self.stimulus.kind, **asdict(self.stimulus)},
             "layers": [layer.to_json() for layer in self.layers],
-            "presentation": asdict(self.presentation),
+            "presentation": self.presentation.to_json(),
             "provenance": self.provenance,
         }
 

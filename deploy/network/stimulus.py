@@ -13,7 +13,7 @@ from typing import ClassVar, Optional
 import numpy as np
 
 from .. import limits
-from ..loading import Limit, between, check, limited_field
+from ..loading import Limit, between, limited_field, require_valid
 from .chip import LOIHI
 
 
@@ -100,7 +100,7 @@ class ImageSpikes(Stimulus):
     )
 
     def __post_init__(self):
-        check(self)
+        require_valid(self)
 
     @property
     def area(self) -> float:
@@ -153,7 +153,7 @@ class EventFrames(Stimulus):
     max_spikes: int = limited_field(between(0, limits.STEPS), 0)
 
     def __post_init__(self):
-        check(self)
+        require_valid(self)
 
     def flatten(self, samples) -> np.ndarray:
         """Samples in the network's input format, (n_samples, steps, size), with the limit."""

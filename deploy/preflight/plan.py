@@ -154,7 +154,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     return Plan(cores, n_chips, problems, warnings, chip)
 
 
-def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
+def require_fit_on_chips(spec: NetworkSpec, chips: int = 1) -> Plan:
     """Plan, and refuse a network that does not fit.
 
     Raises

@@ -126,7 +126,7 @@ class Decider:
         """Decide at the first step that reaches the threshold, if there is one."""
         if touch.decision is not None:
             return
-        threshold = self._presentation.threshold
+        threshold = self._presentation.threshold_or_1
         readout = touch.presentation.readout
         start = self._presentation.readout_start
         confidences = readout.confidences[: self._steps.usual - start]

@@ -24,7 +24,7 @@ from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
 from ..network.output import TargetOutput
 from ..network.simulation import record_stream
 from ..network.spec import NetworkSpec
-from ..preflight.plan import REMEDIES, require_fit
+from ..preflight.plan import REMEDIES, require_fit_on_chips
 from .options import MAX_WAIT_S, BoardOptions
 
 # Number of bins of the board's energy probe, spread over the steps of a stream.
@@ -79,7 +79,7 @@ def run_loihi(
         NxSDK is missing, the network does not fit, or the board could not be reached or was lost.
     """
     version = find_nxsdk_version()
-    require_fit(spec, options.chips)
+    require_fit_on_chips(spec, options.chips)
     for index, samples in enumerate(streams):
         for attempt in range(1, options.attempts + 1):
             try:

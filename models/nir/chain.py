@@ -47,7 +47,7 @@ from models.nir.equations import METHODS
 from models.nir.errors import NirError
 from models.nir.graph import NirNetwork
 from models.nir.nodes import FILTERS, SPIKING
-from models.nir.simulator import apply, check_step
+from models.nir.simulator import apply, require_short_step
 from models.nir.windows import find_window
 from models.ops import Convolution, Dense
 from models.windows import fit_to_chip
@@ -85,7 +85,7 @@ def from_nir(
     NirError
         A node cannot be on the chip; the message names it and an alternative.
     """
-    check_step(network, step_s, method)
+    require_short_step(network, step_s, method)
     shape = network.input_shape
     chip_shape = _to_channels_last(shape) if input_shape is None else tuple(input_shape)
     merged = merges_polarities(network, chip_shape)

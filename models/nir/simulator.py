@@ -83,7 +83,7 @@ def simulate(
         raise ValueError("the graph has seconds and no step: give the step in seconds")
     if not (0 < step_s < math.inf and np.isfinite(inputs).all()):
         raise ValueError("the step is not positive, or an input not finite")
-    check_step(network, step_s, method)
+    require_short_step(network, step_s, method)
     shape = inputs.shape[2:]
     expected = tuple(network.input_shape)
     one_is_flat = min(len(shape), len(expected)) == 1 and math.prod(shape) == math.prod(expected)
@@ -108,7 +108,7 @@ def simulate(
     return GraphOutputs(np.concatenate(outputs), joined)
 
 
-def check_step(network: NirNetwork, step_s: float, method: str):
+def require_short_step(network: NirNetwork, step_s: float, method: str):
     """Refuse Euler steps that are longer than a time constant.
 
     Raises

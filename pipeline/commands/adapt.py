@@ -45,7 +45,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     recordings, who = _select_person(everyone, writer)
     for line in other_recordings.list_warnings(bundle, recordings):
         options.say(line)
-    adaptation.require_fit(bundle.spec, recordings)
+    adaptation.require_adaptable_recordings(bundle.spec, recordings)
     folder = out or _find_default_folder(run, bundle, who)
     if folder.resolve() == bundle.path.resolve():
         raise UserError(f"{folder}: is the bundle to adapt; choose another --out")

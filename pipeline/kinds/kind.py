@@ -212,7 +212,7 @@ class NetworkKind:
         """
         return []
 
-    def require_fit(self, recordings: Recordings):
+    def require_recordings_fit(self, recordings: Recordings):
         """Refuse recordings of another sensor or with other classes than the network is for.
 
         Raises

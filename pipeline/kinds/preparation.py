@@ -74,7 +74,7 @@ def _try_to_choose(settings, recordings, train):
         choices = find_kind(settings).make_choices(recordings, train)
         complete = apply_choices(settings, choices, settings.data.source)
         kind = find_kind(complete)
-        kind.require_fit(recordings)
+        kind.require_recordings_fit(recordings)
         problems = list(kind.list_chip_problems())
     except UserError as error:
         problems = [str(error)]

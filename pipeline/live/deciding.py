@@ -45,28 +45,28 @@ MAX_SLOWNESS = 3
 
 @dataclass(frozen=True)
 class Curve:
-    """The confidence for early decisions over the time of a recording.
+    """The confidence and the probabilities over the time of a recording.
 
     Attributes
     ----------
     seconds : ndarray of float, shape (n,)
         Time from the start of the recording.
-    values : ndarray of float, shape (n,)
+    confidences : ndarray of float, shape (n,)
         See :func:`deploy.network.decision.compute_confidence`.
     classes : ndarray of int, shape (n,)
         The class with the highest score at these times.
-    shares : ndarray of float, shape (n, n_classes)
+    probabilities : ndarray of float, shape (n, n_classes)
         Probabilities of the classes at these times, see :func:`compute_probabilities`.
     """
 
     seconds: np.ndarray
-    values: np.ndarray
+    confidences: np.ndarray
     classes: np.ndarray
-    shares: np.ndarray
+    probabilities: np.ndarray
 
     def find_first(self, threshold: float | None, until_s: float = np.inf) -> PageVerdict | None:
         """The early decision up to a time, or None if there is none."""
-        is_sure = self.values >= (np.inf if threshold is None else threshold)
+        is_sure = self.confidences >= (np.inf if threshold is None else threshold)
         reached = np.flatnonzero(is_sure & (self.seconds <= until_s))
         return self._make_verdict(reached[0], True) if len(reached) else None
 
@@ -76,7 +76,7 @@ class Curve:
 
     def _make_verdict(self, index, early=False):
         at = float(self.seconds[index])
-        return PageVerdict(int(self.classes[index]), float(self.values[index]), at, early)
+        return PageVerdict(int(self.classes[index]), float(self.confidences[index]), at, early)
 
 
 class PageVerdict(NamedTuple):
@@ -113,8 +113,8 @@ class NetworkOutput:
     decided : PageVerdict or None
         The network's early decision, if there is one.
     exceeds_training : bool
-        True if the recording is longer than the samples of the training, on which confidence is
-        estimated: it is far too high then.
+        True if the recording is longer than the samples of the training, on which the
+        estimate of the confidence was trained: it is far too high then.
     """
 
     scores: np.ndarray
@@ -138,7 +138,7 @@ class PageDecider:
     changes_with_time : bool
         True if an answer can change without an event, as time passes.
     threshold : float or None
-        Confidence for early decisions; None if the network always decides at the end.
+        Confidence at which the network decides early; None if it always decides at the end.
     window_s : float or None
         Seconds from the first event on for which the network receives events; None for images.
     usual_s : float or None
@@ -155,8 +155,8 @@ class PageDecider:
         self._emulation = Emulation(spec, bundle.seed)
         self.steps = spec.presentation.period
         self.first_step = -spec.presentation.gap
-        limit = spec.presentation.threshold
-        self.threshold = limit if limit < 1 else None
+        threshold = spec.presentation.threshold_or_1
+        self.threshold = threshold if threshold < 1 else None
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
         self.layers = {n: sizes[n] for n in spec.spiking_layers if sizes[n] <= MAX_DRAWN_NEURONS}

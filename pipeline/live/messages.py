@@ -137,7 +137,7 @@ def make_output_message(recording: OpenRecording, events, output: NetworkOutput)
         "decision": last.label,
         "confidence": last.confidence,
         "exceeds_training": output.exceeds_training,
-        "shares": output.curve.shares[-1].round(4).tolist(),
+        "shares": output.curve.probabilities[-1].round(4).tolist(),
         "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }
 
@@ -145,11 +145,11 @@ def make_output_message(recording: OpenRecording, events, output: NetworkOutput)
 def make_spikes_message(recording: OpenRecording, output: NetworkOutput) -> dict:
     """The message with the spikes of the latest output."""
     layers = output.spikes.items()
-    shares = np.rint(255 * output.curve.shares).astype(np.uint8)
+    in_255ths = np.rint(255 * output.curve.probabilities).astype(np.uint8)
     return {
         "type": "spikes",
         "recording": recording.number,
         "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
         "seconds": (output.curve.seconds - START_S).round(4).tolist(),
-        "chances": base64.b64encode(shares.tobytes()).decode(),
+        "probabilities": base64.b64encode(in_255ths.tobytes()).decode(),
     }

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
 
 
-def check_relations(settings: Settings):
-    """Check the limits of settings that depend on other settings, and the notations.
+def require_relations(settings: Settings):
+    """Refuse settings that contradict other settings, and wrong notations.
 
     Raises
     ------
     WrongValue
     """
-    _check_readout_start(settings)
+    _require_readout_window(settings)
     event_layers = _parse_architecture(settings.events.architecture, "events.architecture").layers
     _require(
         len(event_layers) > 1 and all(layer.has_neurons for layer in event_layers),
@@ -35,9 +35,9 @@ def check_relations(settings: Settings):
     _require(
         n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output"
     )
-    _check_imported_files(settings)
-    _check_max_rates(settings, n_spiking)
-    _check_time_constants(settings, len(event_layers) - 1)
+    _require_read_files(settings)
+    _require_max_rates(settings, n_spiking)
+    _require_time_constants(settings, len(event_layers) - 1)
     _require(
         max(settings.snn.max_rates) * settings.snn.tau_ref < 1,
         "snn.max_rates",
@@ -51,7 +51,7 @@ def _require(condition, name, expected):
         raise WrongValue(name, f"must be {expected}")
 
 
-def _check_readout_start(settings):
+def _require_readout_window(settings):
     """The readout window begins within the presentation; with events it always does."""
     start = settings.presentation.readout_start
     _require(
@@ -63,7 +63,7 @@ def _check_readout_start(settings):
     )
 
 
-def _check_imported_files(settings):
+def _require_read_files(settings):
     """A file of a network has been read, so that its hash is set, and it determines the input."""
     _require(
         settings.input.kind != "slices" or not settings.nir.file,
@@ -78,7 +78,7 @@ def _check_imported_files(settings):
         )
 
 
-def _check_max_rates(settings, n_layers):
+def _require_max_rates(settings, n_layers):
     """There are at most as many maximum rates as layers of neurons."""
     rates = settings.snn.max_rates
     _require(
@@ -88,7 +88,7 @@ def _check_max_rates(settings, n_layers):
     )
 
 
-def _check_time_constants(settings, n_layers):
+def _require_time_constants(settings, n_layers):
     """There are at most as many time constants as layers of neurons."""
     for name in ("events.tau_u_ms", "events.tau_v_ms"):
         taus = settings.get_value(name)

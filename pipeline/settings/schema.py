@@ -38,7 +38,7 @@ from pipeline.settings.groups import (
     SplitShares,
 )
 from pipeline.settings.nested import find_value, merge_values, set_nested
-from pipeline.settings.relations import IMPORTED, check_relations
+from pipeline.settings.relations import IMPORTED, require_relations
 
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
 # instead of the path, so that every artifact may read these settings.
@@ -102,7 +102,7 @@ class Settings(SettingsGroup):
             if settings.data.source != SIMULATED:  # a run can be repeated from any folder
                 source = os.path.abspath(settings.data.source)
                 settings = replace(settings, data=replace(settings.data, source=source))
-            check_relations(settings)
+            require_relations(settings)
             for file, content in IMPORTED.items():
                 if (
                     self.get_value(file)
@@ -160,16 +160,16 @@ class Settings(SettingsGroup):
         defaults = {name: find_default(name) for name in names}
         return self.with_named_values(defaults, provenance=Provenance.DEFAULT)
 
-    def make_presentation(self, confidence: float | None = None) -> Presentation:
+    def make_presentation(self, threshold: float | None = None) -> Presentation:
         """The presentation of samples; events are read from the first step on.
 
         Parameters
         ----------
-        confidence : float, optional
+        threshold : float, optional
             See :class:`deploy.network.presentation.Presentation`.
         """
-        values = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
-        del values["early_loss"]  # by which the confidence was chosen
+        values = {**asdict(self.presentation), "steps": self.steps, "threshold": threshold}
+        del values["early_loss"]  # by which the threshold was chosen
         return Presentation(**(values | {"readout_start": 0} if self.on_events else values))
 
     @property

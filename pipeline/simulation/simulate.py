@@ -124,7 +124,7 @@ def simulate(
         A digit is requested that no trace has.
     """
     parameters = parameters or read_parameters()
-    counts = _check_counts(samples_per_digit)
+    counts = _make_counts(samples_per_digit)
     samples = list_samples(seed, counts, parameters.people, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
@@ -148,7 +148,7 @@ def simulate(
 def make_source(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
     parameters = parameters or read_parameters()
-    content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.compute_hash()]
+    content = [VERSION, int(seed), _make_counts(samples_per_digit), parameters.compute_hash()]
     if tuple(size) != SIZE:
         content.append(list(size))
     digest = hashlib.sha256(json.dumps(content).encode())
@@ -169,7 +169,7 @@ def make_source(seed=0, samples_per_digit=None, parameters=None, traces=None, si
     return Source(name, digest.hexdigest(), True)
 
 
-def _check_counts(samples_per_digit):
+def _make_counts(samples_per_digit):
     counts = SAMPLES_PER_DIGIT if samples_per_digit is None else samples_per_digit
     counts = [int(n) for n in counts]
     if len(counts) != 10 or min(counts) < 0:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.loading import WrongValue, between, check, limited_field, load_dataclass, one_of
+from deploy.loading import WrongValue, between, limited_field, load_dataclass, one_of, require_valid
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Outer:
     flag: bool = False
 
     def __post_init__(self):
-        check(self)
+        require_valid(self)
         if len(self.shape) > 3:
             raise WrongValue("shape", "has too many sides")
 

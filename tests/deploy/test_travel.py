@@ -134,7 +134,7 @@ def test_python_38_answers_a_bundle_of_events(tmp_path):
         name: 0.3 * rng.normal(size=shape) for name, shape in Estimator.list_shapes(3).items()
     }
     spec = replace(
-        make_event_network(confidence=0.7),
+        make_event_network(threshold=0.7),
         stimulus=EventFrames(0.01, refractory=1),
         estimator=Estimator.from_arrays(estimator, 3),
     )

@@ -32,7 +32,7 @@ def test_the_papers_numbers_are_the_defaults():
 def test_the_presentation_has_the_bundles_entries():
     ours = {entry.name for entry in fields(Settings().presentation)}
     of_bundle = {entry.name for entry in fields(Presentation)}
-    assert ours - {"early_loss"} | {"confidence"} == of_bundle
+    assert ours - {"early_loss"} | {"threshold"} == of_bundle
 
 
 @given(

@@ -64,7 +64,7 @@ def test_the_result_says_when_each_sample_was_decided(run_on_events):
     bundle = read_bundle(run_on_events / "bundle")
     written = result["while_written"]
     early = written["by_itself"]
-    assert early["confidence"] == bundle.spec.presentation.confidence
+    assert early["confidence"] == bundle.spec.presentation.threshold
     assert 0 < early["share_of_writing_mean"] <= 1
     assert len(written["accuracy"]) == len(written["shares"]) == 10
     steps = bundle.spec.presentation.steps

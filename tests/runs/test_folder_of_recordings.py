@@ -61,7 +61,7 @@ def test_the_accuracy_of_training_is_that_of_the_ladder(folder):
 
 def test_few_recordings_choose_no_early_decision(folder):
     presentation = read_bundle(folder / "events" / "bundle").spec.presentation
-    assert presentation.confidence == 1
+    assert presentation.threshold == 1
     metrics = read_json(folder / "events" / "snn" / "metrics.json", "")
     assert metrics["decides_by_itself"]["samples"] < 100
 

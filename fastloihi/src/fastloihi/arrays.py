@@ -203,8 +203,8 @@ class EmulatorArrays:
             views = s.weights[0], synapses.traces[s], synapses.pes_errors[s]
             self._learning.append((s, self._parameters_of(s), *views))
 
-    def _check_learning(self, synapses):
-        """Check that no other code replaced parameters or arrays of a synapse that learns."""
+    def _require_unchanged_learning(self, synapses):
+        """Refuse synapses that learn if other code has replaced their parameters or arrays."""
         for s, parameters, weights, trace, errors in self._learning:
             if not (
                 self._parameters_of(s) == parameters
@@ -217,7 +217,7 @@ class EmulatorArrays:
     def run(self, emulator, steps, arriving, careful):
         """Call the compiled function; return the number of steps that it ran."""
         layout = self.layout
-        self._check_learning(emulator.synapses)
+        self._require_unchanged_learning(emulator.synapses)
         if self.has_probes:
             self.histories = [
                 np.empty((steps, width), kind) if width else empty

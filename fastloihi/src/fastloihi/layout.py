@@ -264,7 +264,7 @@ class _Rows:
         self.targets = np.concatenate([i.ravel() for i in indices]).astype(np.int64)
         self.row = np.repeat(np.arange(len(self.lengths)), self.lengths)
         if synapse.learning:
-            self._check_that_it_can_learn(block)
+            self._require_learnable_weights(block)
         self._sort()
         starts = np.cumsum([0, *self.lengths[:-1]])
         self.lowest = np.zeros(len(self.lengths), np.int64)
@@ -278,8 +278,8 @@ class _Rows:
             self.bits = int(np.bitwise_or.reduce(values))
             self.largest = int(np.abs(values).max())
 
-    def _check_that_it_can_learn(self, block):
-        """Check that NengoLoihi can change all weights of a row; otherwise it fails."""
+    def _require_learnable_weights(self, block):
+        """Refuse weights unless NengoLoihi's learning can change all weights of a row."""
         n = 2 * (block.n_neurons // 2)
         alone = all(w.shape == (1, n) and np.array_equal(i[0], np.arange(n)) for w, i in
                     zip(self.synapse.weights, self.synapse.indices))  # fmt: skip

@@ -33,14 +33,14 @@ from pipeline.settings import Settings
 from pipeline.storage.artifacts import DELETE_IT
 from pipeline.storage.run_folder import DELETE_ITS_FOLDER
 
-# Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
+# Minimum number of samples for choosing a threshold; with fewer, the allowed loss, half a
 # percentage point, is less than half a sample.
 MIN_HELD_OUT = 100
 
-# Settings that the confidence depends on.
+# Settings that the threshold of early decisions depends on.
 DECISION_SETTINGS = ("presentation.steps", "presentation.early_loss")
 
-# Maximum number of samples that are held out to choose a confidence: the others are for training.
+# Maximum number of samples that are held out to choose a threshold: the others are for training.
 MAX_HELD_OUT = 300
 
 # State of a training that is not complete.
@@ -51,7 +51,7 @@ MAX_CURVE_SAMPLES = 200
 
 
 class EventSamples(NamedTuple):
-    """Training samples, and held-out samples for choosing the confidence.
+    """Training samples, and held-out samples for choosing the threshold.
 
     Attributes
     ----------
@@ -118,8 +118,8 @@ class EventsKind(NetworkKind):
         return (
             counts.STEP,
             Step("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
-            # The confidence depends on the length of the presentation, unlike the training.
-            Step("threshold", "snn", ("metrics.json",), DECISION_SETTINGS, self._choose_confidence,
+            # The threshold depends on the length of the presentation, unlike the training.
+            Step("threshold", "snn", ("metrics.json",), DECISION_SETTINGS, self._choose_threshold,
                  uses=("events",), action="choosing", measures="events"),
         )  # fmt: skip
 
@@ -163,8 +163,8 @@ class EventsKind(NetworkKind):
         return {"epochs": epochs, "seconds": seconds, "versions": list_training_versions()}
 
     @staticmethod
-    def _choose_confidence(inputs, artifact):
-        """Choose the confidence for early decisions of the network; measure its accuracy."""
+    def _choose_threshold(inputs, artifact):
+        """Choose the threshold for early decisions of the network; measure its accuracy."""
         from pipeline.training.events import TrainedOnEvents
 
         settings = inputs.settings
@@ -172,7 +172,7 @@ class EventsKind(NetworkKind):
         trained = TrainedOnEvents.from_weights(settings, inputs.read_weights("events"))
         samples = hold_out_event_samples(dataset, settings.seed)
         held_out = samples.held_out
-        chosen = choose_confidence(settings, samples, trained, settings.seed)
+        chosen = choose_early_threshold(settings, samples, trained, settings.seed)
         training = inputs.find_artifact("events")
         with reporting_damage(training.record, DELETE_ITS_FOLDER):
             record = training.find_state().record
@@ -180,7 +180,7 @@ class EventsKind(NetworkKind):
             epochs = int(record["epochs"])
         metrics = make_training_record(trained, dataset, seconds, list_training_versions())
         metrics["epochs"] = epochs
-        metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
+        metrics["decides_by_itself"] = {**chosen.to_json(), "samples": len(held_out)}
         inputs.say(describe_accuracy("events", metrics))
         inputs.say(f"threshold: {_describe_decision(chosen, len(held_out))}")
         return metrics
@@ -189,7 +189,7 @@ class EventsKind(NetworkKind):
         from pipeline.training.events import EventDesign
 
         presentation = inputs.settings.make_presentation(
-            read_confidence(inputs.find_artifact("threshold"))
+            read_threshold(inputs.find_artifact("threshold"))
         )
         design = EventDesign.from_settings(inputs.settings)
         weights = inputs.read_weights("events")
@@ -233,7 +233,7 @@ def make_event_spec(
     architecture = parse(design.architecture)
     integers = build_network(design, weights).compute_integers()
     links = from_integers(architecture, weights, integers, design.section_starts)
-    is_early = presentation.threshold < 1
+    is_early = presentation.threshold_or_1 < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
     stimulus = design.stimulus
     return chain.build_network_spec(links, stimulus, presentation, provenance, estimator)
@@ -243,7 +243,7 @@ def hold_out_event_samples(dataset: Dataset, seed: int) -> EventSamples:
     """Hold out the validation samples or, if there are none, some of the training samples.
 
     Without validation samples, no training samples are held out if these would be too few to choose
-    a confidence on: the network learns from all of them and decides at the end.
+    a threshold on: the network learns from all of them and decides at the end.
 
     Parameters
     ----------
@@ -262,29 +262,31 @@ def hold_out_event_samples(dataset: Dataset, seed: int) -> EventSamples:
     return EventSamples(dataset.recordings.table, dataset.labels, train, held_out)
 
 
-def choose_confidence(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
-    """Choose the confidence for early decisions on the held-out samples.
+def choose_early_threshold(
+    settings: Settings, samples: EventSamples, trained, seed: int
+) -> Threshold:
+    """Choose the threshold for early decisions on the held-out samples.
 
-    See :func:`drop_unreliable_confidence`.
+    See :func:`drop_unreliable_threshold`.
     """
     table, labels, _, held_out = samples
     if not len(held_out):
         return Threshold(1.0, 0.0, 1.0)
     loss = settings.presentation.early_loss
     chosen = trained.choose_threshold(table, labels, held_out, settings.steps, seed, loss)
-    return drop_unreliable_confidence(chosen, len(held_out))
+    return drop_unreliable_threshold(chosen, len(held_out))
 
 
-def drop_unreliable_confidence(chosen: Threshold, n_samples: int) -> Threshold:
-    """A confidence for early decisions, or 1 if it was chosen on fewer samples than `MIN_HELD_OUT`.
+def drop_unreliable_threshold(chosen: Threshold, n_samples: int) -> Threshold:
+    """The threshold, or 1 if it was chosen on fewer samples than `MIN_HELD_OUT`.
 
-    With a confidence of 1 the network decides at the end of each recording.
+    With a threshold of 1 the network decides at the end of each recording.
     """
-    return chosen if n_samples >= MIN_HELD_OUT else chosen._replace(confidence=1.0, share=1.0)
+    return chosen if n_samples >= MIN_HELD_OUT else chosen._replace(value=1.0, share=1.0)
 
 
-def read_confidence(artifact) -> float | None:
-    """The confidence for early decisions in a network's record, or None."""
+def read_threshold(artifact) -> float | None:
+    """The threshold for early decisions in a network's record, or None."""
     with reporting_damage(artifact.record, DELETE_IT):
         chosen = artifact.find_state().record["decides_by_itself"]
         if chosen is None:
@@ -295,9 +297,9 @@ def read_confidence(artifact) -> float | None:
 
 
 def _describe_decision(chosen, samples):
-    if chosen.confidence < 1:
+    if chosen.value < 1:
         return (
-            f"early decision at a confidence of {chosen.confidence:.4f}, after "
+            f"early decision at a confidence of {chosen.value:.4f}, after "
             f"{chosen.share:.0%} of a recording on {samples} held-out samples"
         )
     reason = ""

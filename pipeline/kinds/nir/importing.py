@@ -158,7 +158,7 @@ def find_graph(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     if not is_file(source, settings.nir.sha256):
         raise UserError(f"{source}: has changed; {GIVE_AGAIN}")
     classes = len(dataset.recordings.sensor.classes)
-    require_fit(network, find_input_shape(dataset), classes, source, settings.on_events)
+    require_graph_fits(network, find_input_shape(dataset), classes, source, settings.on_events)
     return source, network
 
 
@@ -195,7 +195,7 @@ def require_convertible_graph(settings: Settings, strict: bool = False):
         raise UserError(f"{source}: {error}") from error
 
 
-def require_fit(network: NirNetwork, fed_shape, n_classes: int, source, on_events: bool):
+def require_graph_fits(network: NirNetwork, fed_shape, n_classes: int, source, on_events: bool):
     """Refuse a graph for another sensor or other classes.
 
     Parameters

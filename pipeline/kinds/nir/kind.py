@@ -12,7 +12,7 @@ import numpy as np
 from deploy.errors import UserError
 from models.nir.graph import read_nir
 from pipeline.kinds import counts
-from pipeline.kinds.events.kind import DECISION_SETTINGS, read_confidence
+from pipeline.kinds.events.kind import DECISION_SETTINGS, read_threshold
 from pipeline.kinds.imported import ImportedNetwork, is_file
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.conversion import list_synapse_notes, make_nir_spec, record_convention
@@ -22,7 +22,7 @@ from pipeline.kinds.nir.importing import (
     Stepping,
     find_graph,
     read_copy_of_graph,
-    require_fit,
+    require_graph_fits,
 )
 from pipeline.kinds.nir.measures import import_graph
 from pipeline.kinds.nir.simulation import (
@@ -147,7 +147,7 @@ class NirKind(NetworkKind):
         dataset = inputs.dataset
         graph = inputs.find_artifact("nir")
         network = read_copy_of_graph(graph.folder, settings)
-        presentation = settings.make_presentation(read_confidence(graph))
+        presentation = settings.make_presentation(read_threshold(graph))
         rng = np.random.default_rng([settings.seed, 0x41B])
         chosen = np.sort(rng.permutation(dataset.split.train)[:CALIBRATION_SAMPLES])
         samples = dataset.inputs[chosen]
@@ -177,14 +177,14 @@ class NirKind(NetworkKind):
         settings = apply_choices(settings, from_rest, settings.nir.file)
         return from_rest + choose_presentation(settings, recordings)
 
-    def require_fit(self, recordings):
+    def require_recordings_fit(self, recordings):
         nir = self.settings.nir
         sensor = recordings.sensor
         # A file that has changed is not the run's network; the run's copy is compared when it is
         # read.
         if is_file(nir.file, nir.sha256):
             shape = sensor.rows, sensor.columns, self.channels
-            require_fit(
+            require_graph_fits(
                 read_nir(nir.file), shape, len(sensor.classes), nir.file, self.settings.on_events
             )
 

@@ -1,4 +1,4 @@
-"""A graph's accuracy, the cost of the chip's reset, and its confidence for early decisions."""
+"""A graph's accuracy, the cost of the chip's reset, and its threshold for early decisions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from deploy.network.decision import choose_threshold, delay_outputs
 from deploy.network.stimulus import find_last_steps
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
-from pipeline.kinds.events.kind import drop_unreliable_confidence
+from pipeline.kinds.events.kind import drop_unreliable_threshold
 from pipeline.kinds.nir.conversion import list_conversion_notes, record_convention
 from pipeline.kinds.nir.importing import GRAPH, Stepping, find_graph, find_input_shape
 from pipeline.kinds.nir.simulation import NUMPY, compute_predictions, simulate_samples
@@ -24,8 +24,8 @@ from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.splits import Split
 from pipeline.settings import Settings
 
-# Maximum number of training samples on which the confidence for early decisions is chosen.
-MAX_CONFIDENCE_SAMPLES = 300
+# Maximum number of training samples on which the threshold for early decisions is chosen.
+MAX_THRESHOLD_SAMPLES = 300
 
 # Maximum number of training samples on which the two resets are compared.
 MAX_RESET_SAMPLES = 200
@@ -106,7 +106,7 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
         "epochs": 0,
         "convention": record_convention(network, stepping),
         "reset": cost,
-        "decides_by_itself": choose_confidence(network, stepping, layers, settings, dataset),
+        "decides_by_itself": choose_early_threshold(network, stepping, layers, settings, dataset),
         "versions": NUMPY,
     }
     if source != folder / GRAPH:
@@ -176,8 +176,8 @@ def _refuse_runaway(network, spikes, steps):
             )
 
 
-def choose_confidence(network, stepping, layers, settings, dataset):
-    """The confidence for early decisions of networks on events."""
+def choose_early_threshold(network, stepping, layers, settings, dataset):
+    """The threshold for early decisions of networks on events; None for others."""
     if not settings.on_events or network.outputs < 2:
         return None
     held_out = draw_held_out(dataset.split, settings.seed)
@@ -187,16 +187,16 @@ def choose_confidence(network, stepping, layers, settings, dataset):
     loss = settings.presentation.early_loss
     threshold = choose_threshold(sums, dataset.labels[held_out], find_last_steps(inputs), loss)
     return {
-        **drop_unreliable_confidence(threshold, len(held_out))._asdict(),
+        **drop_unreliable_threshold(threshold, len(held_out)).to_json(),
         "samples": len(held_out),
     }
 
 
 def draw_held_out(split: Split, seed: int) -> np.ndarray:
-    """Indices of the held-out samples on which the confidence is chosen, of every class.
+    """Indices of the held-out samples on which the threshold is chosen, of every class.
 
     Held-out samples are in the order of the recordings, which is usually that of the classes, so
     they are drawn at random.
     """
     held_out = split.hold_out(seed)[1]
-    return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:MAX_CONFIDENCE_SAMPLES]
+    return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:MAX_THRESHOLD_SAMPLES]

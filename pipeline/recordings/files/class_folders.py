@@ -153,7 +153,7 @@ def find_part_and_class(member: PurePosixPath, class_folders: ClassFolders, labe
         raise MisplacedFile("is in a folder inside that of a class; move it")
     label = read_label(member)
     if label is not None:
-        _check_label(label, folders, class_folders)
+        _require_class_label(label, folders, class_folders)
     if folders:
         return part, folders[0]
     if label is None and labelled:
@@ -163,7 +163,7 @@ def find_part_and_class(member: PurePosixPath, class_folders: ClassFolders, labe
     return part, label or ""
 
 
-def _check_label(label, folders, class_folders):
+def _require_class_label(label, folders, class_folders):
     """Refuse a label in a file's name that is no class, or another one than the folder's."""
     if not label.strip() or (class_folders.has_numbers and not label.isdecimal()):
         raise MisplacedFile(

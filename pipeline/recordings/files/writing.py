@@ -69,7 +69,7 @@ def write_recordings(
     """
     path = Path(path)
     require_ending(path, ".zip")
-    _check_options(path, time_unit, writers, parts)
+    _require_valid_options(path, time_unit, writers, parts)
     names = _list_classes(path, recordings, classes)
     properties = _Properties(
         time_unit=time_unit,
@@ -169,7 +169,7 @@ def _require_complete(path, n_read, problems, properties):
         raise SeveralErrors([f"{path}: no recordings"])
 
 
-def _check_options(path, time_unit, writers, parts):
+def _require_valid_options(path, time_unit, writers, parts):
     """Refuse a unit of time, parts or writers that are not valid."""
     if time_unit and time_unit not in UNITS:
         raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")

@@ -250,7 +250,7 @@ def make_recording(events, size: tuple | None = None) -> EventRecording:
     if max(lengths) > MAX_EVENTS:
         raise BadRecording(f"has {max(lengths)} events, more than {MAX_EVENTS}")
     x, y, t, p = (arrays[name] for name in ARRAYS)
-    t = _check_times(t)
+    t = _convert_times(t)
     for name, coordinates in (("x", x), ("y", y)):
         outside = ~(
             (coordinates >= 0) & (coordinates <= MAX_PLACE) & (coordinates == np.floor(coordinates))
@@ -264,7 +264,7 @@ def make_recording(events, size: tuple | None = None) -> EventRecording:
     if size is not None:
         _require_inside(x, y, size)
     order = np.argsort(t, kind="stable")
-    polarity = _check_polarities(p)
+    polarity = _convert_polarities(p)
     lowest = int(p.min())
     return EventRecording(
         np.asarray(x, np.int64)[order],
@@ -290,7 +290,7 @@ def _require_inside(x, y, size):
         )
 
 
-def _check_times(t):
+def _convert_times(t):
     """Convert values to integers if all are whole numbers, else to floating point."""
     for is_wrong, reason in (
         (~np.isfinite(t), "has a time that is NaN or infinite"),
@@ -303,7 +303,7 @@ def _check_times(t):
     return t.astype(np.int64 if is_whole else float)
 
 
-def _check_polarities(p):
+def _convert_polarities(p):
     values, first = np.unique(p, return_index=True)
     if p.dtype.kind == "b" or np.isin(values, (0, 1)).all():
         return np.where(p > 0, 1, -1).astype(np.int8)

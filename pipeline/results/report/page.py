@@ -444,23 +444,25 @@ def _make_stories(inputs, groups):
 def _make_story(spec, classes, sample, replay):
     """What the template needs of a replayed sample, but for its picture."""
     step_ms = 1000 * spec.stimulus.step_seconds
-    at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
+    at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.probabilities))) * step_ms
     decided_ms = at_ms[replay.decided]
-    probability = replay.chances[replay.decided, replay.prediction]
+    probability = replay.probabilities[replay.decided, replay.prediction]
     is_early = replay.decided < len(at_ms) - 1
     label = sample["label"]
     prediction = sample["prediction"]
     drawn = choose_drawn_steps(len(at_ms))
-    limit = spec.presentation.threshold
+    threshold = spec.presentation.threshold_or_1
     quantity = "probability of the classes" if spec.estimator else "softmax of the outputs"
     curves = tuple(
-        charts.Series(classes[number], tuple(at_ms[drawn]), tuple(replay.chances[drawn, number]))
+        charts.Series(
+            classes[number], tuple(at_ms[drawn]), tuple(replay.probabilities[drawn, number])
+        )
         for number in replay.choose_classes(label)
     )
     lines = charts.Lines(
         f"{quantity}, %",
         curves,
-        levels=(limit,) if limit < 1 else (),
+        levels=(threshold,) if threshold < 1 else (),
         points=((decided_ms, probability),) if is_early else (),
     )
     layers = [_draw_spikes(layer, step_ms) for layer in replay.layers]
@@ -469,7 +471,7 @@ def _make_story(spec, classes, sample, replay):
         "right": label == prediction,
         "shown": classes[label],
         "prediction": classes[prediction],
-        "probability": float(replay.chances[-1, prediction]),
+        "probability": float(replay.probabilities[-1, prediction]),
         "early": (decided_ms, classes[replay.prediction], probability) if is_early else None,
         "chart": charts.draw_timeline(
             [*layers, lines],

@@ -42,14 +42,14 @@ class Replay:
     Attributes
     ----------
     layers : tuple of Spikes
-    chances : ndarray of float, shape (steps - readout_start, classes)
+    probabilities : ndarray of float, shape (steps - readout_start, classes)
         Probabilities of the classes at each step; the largest is the confidence.
     decided, prediction : int
-        Index in ``chances`` of the decision, the last one if none is early, and its class.
+        Index in ``probabilities`` of the decision, the last one if none is early, and its class.
     """
 
     layers: tuple
-    chances: np.ndarray
+    probabilities: np.ndarray
     decided: int
     prediction: int
 
@@ -59,8 +59,8 @@ class Replay:
 
     def choose_classes(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
-        top = np.argsort(-self.chances[self.decided], kind="stable").tolist()
-        drawn = dict.fromkeys([top[0], int(self.chances[-1].argmax()), label, *top])
+        top = np.argsort(-self.probabilities[self.decided], kind="stable").tolist()
+        drawn = dict.fromkeys([top[0], int(self.probabilities[-1].argmax()), label, *top])
         return list(drawn)[:SHOWN_CLASSES]
 
 
@@ -112,11 +112,13 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
         sums = compute_running_sums(spec, select_readout(spec, output[:, presentation.gap :]))
-        limit = presentation.threshold
-        decided, predictions = decide(sums, limit, spec.estimator, presentation.readout_start)
-        if spec.stimulus.is_static and limit == 1:  # trained on means, without a threshold for sums
+        threshold = presentation.threshold_or_1
+        decided, predictions = decide(sums, threshold, spec.estimator, presentation.readout_start)
+        if (
+            spec.stimulus.is_static and threshold == 1
+        ):  # trained on means, without a threshold for sums
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
-        chances = compute_probabilities(
+        probabilities = compute_probabilities(
             sums, compute_confidence(sums, spec.estimator, presentation.readout_start)
         )
         for index in here:
@@ -127,7 +129,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
                 layers.append(_draw_layer_spikes(spec, name, sizes[name], steps, neurons))
             at = index - stream.start
             replays[index] = Replay(
-                tuple(layers), chances[at], int(decided[at]), int(predictions[at])
+                tuple(layers), probabilities[at], int(decided[at]), int(predictions[at])
             )
             if advance is not None:
                 advance(1)

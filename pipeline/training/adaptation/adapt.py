@@ -75,7 +75,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     ----------
     bundle : Bundle
     recordings : Recordings
-        Recordings of the person, of every class; see :func:`require_fit`.
+        Recordings of the person, of every class; see :func:`require_adaptable_recordings`.
     writer : str
         Name of the person, for the new network's provenance.
     seed : int
@@ -153,7 +153,7 @@ def _mark_check_samples(bundle, responder, recordings):
     return np.array([row.tobytes() in contents for row in samples], bool)
 
 
-def require_fit(spec: NetworkSpec, recordings: Recordings):
+def require_adaptable_recordings(spec: NetworkSpec, recordings: Recordings):
     """Refuse recordings to which a network's readout cannot be fitted.
 
     Raises
@@ -180,8 +180,8 @@ def _raise_threshold(spec, responder, recordings):
 
     The threshold is never lower than before, because it would be unreliable with few samples.
     """
-    confidence = spec.presentation.confidence
-    if confidence is None:
+    threshold = spec.presentation.threshold
+    if threshold is None:
         return spec
     weights = spec.layers[-1].weights
     outputs = []
@@ -197,7 +197,7 @@ def _raise_threshold(spec, responder, recordings):
         np.concatenate(last),
         estimator=spec.estimator,
     )
-    return spec.with_presentation(confidence=max(confidence, chosen.confidence))
+    return spec.with_presentation(threshold=max(threshold, chosen.value))
 
 
 def format_adaptation(adapted: Adaptation, folder) -> str:

@@ -16,7 +16,7 @@ from pipeline.settings import Settings
 from pipeline.training.events.design import EventDesign
 
 # Number of augmented copies of each held-out sample that are used, with the sample itself, to
-# choose the confidence for an early decision. Half a percentage point of a few hundred samples is
+# choose the threshold for an early decision. Half a percentage point of a few hundred samples is
 # two or three samples, so a choice on these alone would overestimate the accuracy.
 COPIES = 4
 
@@ -58,7 +58,7 @@ class TrainedOnEvents:
     def choose_threshold(
         self, table, labels, held_out, n_steps: int, seed: int, loss: float
     ) -> Threshold:
-        """Choose the confidence for early decisions on held-out samples.
+        """Choose the threshold for early decisions on held-out samples.
 
         The samples and their augmented copies have equal weight in the choice; see
         :func:`deploy.network.decision.choose_threshold`.

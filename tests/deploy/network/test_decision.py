@@ -36,7 +36,7 @@ def test_a_threshold_of_1_waits_for_the_end_however_sure_the_outputs_are():
     for estimator in (None, certain):
         chosen = choose_threshold(outputs, np.zeros(2, int), np.full(2, 2), estimator=estimator)
         assert chosen == (1, 1, 1)
-        steps, classes = decide(outputs, chosen.confidence, estimator)
+        steps, classes = decide(outputs, chosen.value, estimator)
         assert (steps.tolist(), classes.tolist()) == ([2, 2], [0, 0])
     assert decide(outputs, 0.9999)[0].tolist() == [0, 0]
 
@@ -53,7 +53,7 @@ def test_the_chosen_threshold_is_the_earliest_that_loses_no_more_than_allowed():
     labels, last = np.zeros(4, int), np.full(4, 3)
     strict = choose_threshold(outputs, labels, last, loss=0)
     assert strict.accuracy == 1
-    assert 0.75 < strict.confidence < 0.983
+    assert 0.75 < strict.value < 0.983
     assert strict.share == pytest.approx((1 + 1 + 2 + 2) / 16)
     loose = choose_threshold(outputs, labels, last, loss=0.25)
     assert choose_threshold(outputs, labels, last, 0.25, weights=[1, 1, 2, 2]).accuracy == 1

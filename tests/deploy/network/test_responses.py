@@ -91,7 +91,7 @@ def test_an_empty_output_is_not_the_answer_class_0():
 
 def test_no_early_decision_on_an_empty_output():
     """A softmax of three zeros is 1/3, which is above a threshold of 0.3."""
-    spec = unbiased(make_event_network(steps=4, confidence=0.3))
+    spec = unbiased(make_event_network(steps=4, threshold=0.3))
     output = np.zeros((1, 4, 3))
     output[0, 2] = [9, 0, 0]
     assert compute_responses(spec, output, spikes_of(spec, 1)).stopped_at.tolist() == [3]

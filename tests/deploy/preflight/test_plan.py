@@ -21,7 +21,7 @@ from deploy.network.nir import write_nir
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
-from deploy.preflight.plan import make_plan, require_fit
+from deploy.preflight.plan import make_plan, require_fit_on_chips
 from deploy.preflight.resources import count_words_of_synapses
 from tests.command import missing
 from tests.deploy.networks import bundle_at, make_paper_network
@@ -120,7 +120,7 @@ def test_too_many_compartments_names_layer_limit_excess_and_remedy():
     assert missing(problem, "layer conv1", "1 of its 1 core,", "1536 compartments", 512, 1024) == []
     assert "block_shape" in problem
     with pytest.raises(UserError, match=r"conv1.* 1536 compartments"):
-        require_fit(spec)
+        require_fit_on_chips(spec)
 
 
 def test_too_many_chips():

@@ -31,7 +31,7 @@ def make_bundle(count=12, **presentation):
     spec = replace(
         networks.make_event_network(**presentation), stimulus=EventFrames(0.01, refractory=2)
     )
-    estimator = _estimator(3) if presentation.get("confidence") else None
+    estimator = _estimator(3) if presentation.get("threshold") else None
     readout = replace(spec.layers[-1], bias=np.zeros(3))
     spec = replace(spec, estimator=estimator, layers=(*spec.layers[:-1], readout))
     frames = networks.draw_frames(spec, count, share=0.1)
@@ -88,10 +88,10 @@ def replay(stream, frames, one_by_one=False, pause_us=700_000, start_us=5_000_00
 
 
 @pytest.mark.parametrize("one_by_one", [False, True])
-@pytest.mark.parametrize("confidence", [None, 0.5, 0.93])
-def test_decisions_are_those_of_a_check_with_the_target_fast(confidence, one_by_one):
+@pytest.mark.parametrize("threshold", [None, 0.5, 0.93])
+def test_decisions_are_those_of_a_check_with_the_target_fast(threshold, one_by_one):
     """Samples follow each other without a reset, in streams of three, as in ``check run``."""
-    bundle = make_bundle(confidence=confidence, readout_start=3)
+    bundle = make_bundle(threshold=threshold, readout_start=3)
     expected = run_target(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
     decisions = replay(Stream(bundle, unit="us"), bundle.checks.inputs, one_by_one)
     assert len(decisions) == len(bundle.checks)
@@ -105,7 +105,7 @@ def test_decisions_are_those_of_a_check_with_the_target_fast(confidence, one_by_
         assert decision.number == expected.decisions[index, stopped - 1]
         due = decision.start + stopped * STEP_US
         assert decision.time == min(due, decision.time)
-    if confidence is None:
+    if threshold is None:
         assert n_early == 0
         assert len({decision.number for decision in decisions}) > 1
     else:
@@ -144,7 +144,7 @@ def test_a_touch_begins_with_an_event_and_ends_with_silence(stream):
 
 def test_a_decision_is_preliminary_until_the_touch_has_ended():
     """An early one, and one at the end of a presentation that the touch goes on after."""
-    bundle = make_bundle(confidence=0.5)
+    bundle = make_bundle(threshold=0.5)
     stream = Stream(bundle, unit="us")
     silence_us = round(1e6 * stream.silence)
     decisions = replay(stream, bundle.checks.inputs)

@@ -18,7 +18,7 @@ from deploy.network.ops.dense import DeployedDense
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
-from deploy.preflight.plan import make_plan, require_fit
+from deploy.preflight.plan import make_plan, require_fit_on_chips
 from deploy.targets.registry import TARGETS, find_target, run_target
 from deploy.targets.simulators import _make_simulator
 from tests.deploy.fast_networks import loud_spec, random_spec
@@ -165,7 +165,7 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
             for target in ANYWHERE
         ),
         lambda: make_plan(spec),
-        lambda: require_fit(spec),  # asked before a board is looked for
+        lambda: require_fit_on_chips(spec),  # asked before a board is looked for
     ):
         with pytest.raises(UserError) as refused:
             run()

@@ -81,7 +81,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     assert len(np.unique(weights)) <= 255
     unit = np.abs(weights).max() / 127
     np.testing.assert_allclose(weights / unit, np.rint(weights / unit), atol=1e-6)
-    assert new.spec.presentation.confidence >= old.spec.presentation.confidence
+    assert new.spec.presentation.threshold >= old.spec.presentation.threshold
     assert new.spec.provenance["adapted"]["from"] == old.id
     # The new bundle is one like any other: its check says what was promised of the others.
     out = tmp_path / "fast.json"

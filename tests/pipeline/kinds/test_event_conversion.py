@@ -120,7 +120,7 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     assert set(expected) - {0, steps - 1}
     assert (expected != decide(arrived, limit)[0]).any()
     presentation = Presentation(
-        steps=steps, gap=GAP, readout_start=0, stream_length=3, confidence=limit
+        steps=steps, gap=GAP, readout_start=0, stream_length=3, threshold=limit
     )
     spec = make_event_spec(design, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.to_arrays())

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.network.decision import Threshold
 from pipeline.kinds.events import kind as events
-from pipeline.kinds.events.kind import choose_confidence, hold_out_event_samples
+from pipeline.kinds.events.kind import choose_early_threshold, hold_out_event_samples
 from pipeline.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training.events import TrainedOnEvents
@@ -30,7 +30,9 @@ def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = load_dataset(settings)
     samples = hold_out_event_samples(dataset, 3)
-    chosen = choose_confidence(settings, samples, TrainedOnEvents.from_weights(settings, {}), 3)
+    chosen = choose_early_threshold(
+        settings, samples, TrainedOnEvents.from_weights(settings, {}), 3
+    )
     return dataset.split, samples, chosen
 
 
@@ -38,7 +40,7 @@ def test_few_samples_are_all_trained_on(choice):
     split, samples, chosen = chosen_on({})
     assert len(split.validation) == len(samples.held_out) == 0
     assert choice == {}
-    assert (chosen.confidence, chosen.share) == (1, 1)  # waits for the end
+    assert (chosen.value, chosen.share) == (1, 1)  # waits for the end
     np.testing.assert_array_equal(samples.train, split.train)
 
 
@@ -48,7 +50,7 @@ def test_without_validation_some_training_samples_are_held_out(choice, monkeypat
     assert choice["steps"] == 16
     np.testing.assert_array_equal(choice["held_out"], samples.held_out)
     assert 3 <= len(samples.held_out) < 10
-    assert chosen.confidence == 0.9
+    assert chosen.value == 0.9
     both = np.concatenate([samples.train, samples.held_out])
     np.testing.assert_array_equal(np.sort(both), split.train)
 
@@ -58,6 +60,6 @@ def test_validation_samples_are_the_held_out_samples(choice):
     changes = {"split": {"validation_fraction": 0.5}, "data": enough}
     split, samples, chosen = chosen_on(changes)
     assert len(choice["held_out"]) == len(split.validation) == 120
-    assert chosen.confidence == 0.9
+    assert chosen.value == 0.9
     np.testing.assert_array_equal(samples.train, split.train)
     np.testing.assert_array_equal(choice["held_out"], split.validation)

@@ -218,7 +218,7 @@ def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, agai
 def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
     kind = find_kind(settings(cnn={"architecture": "5x5-6c4-3o"}, **sections))
     with pytest.raises(UserError) as caught:
-        kind.require_fit(recordings(*size))
+        kind.require_recordings_fit(recordings(*size))
     suggested = parse(re.search(r"such as (\S+), not", str(caught.value))[1])
     assert (*suggested.input_shape, suggested.outputs) == (*size, kind.channels, 3)
 

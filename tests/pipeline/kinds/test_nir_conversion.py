@@ -22,7 +22,7 @@ from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from models.rounding import choose_integers, round_to_integers, simulate_spikes
 from pipeline.kinds.nir.conversion import list_synapse_notes, make_nir_spec
-from pipeline.kinds.nir.importing import Stepping, make_nir_settings, require_fit
+from pipeline.kinds.nir.importing import Stepping, make_nir_settings, require_graph_fits
 from pipeline.kinds.nir.simulation import make_graph_inputs
 from pipeline.settings import Settings, read_settings
 from pipeline.storage.run_folder import RunFolder
@@ -403,4 +403,4 @@ def test_a_graph_that_was_changed_is_refused(tmp_path):
 def test_both_polarities_may_be_one_channel_of_events_and_not_of_images(channels, on_events, fits):
     network = SimpleNamespace(input_shape=(channels, 9, 12), outputs=4, nodes=("output",))
     with contextlib.nullcontext() if fits else pytest.raises(UserError, match="2 x 9 x 12"):
-        require_fit(network, (9, 12, 2), 4, "network.nir", on_events)
+        require_graph_fits(network, (9, 12, 2), 4, "network.nir", on_events)

@@ -29,9 +29,9 @@ class Parrot:
         shares = np.full(self.classes, 0.1 / self.classes)
         label = len(events) % self.classes
         shares[label] += 0.9
-        seconds, values = events.time_ns * 1e-9, np.linspace(0.1, 1, len(events))
+        seconds, confidences = events.time_ns * 1e-9, np.linspace(0.1, 1, len(events))
         every = np.tile(shares, (len(events), 1))
-        curve = Curve(seconds, values, np.full(len(events), label), every)
+        curve = Curve(seconds, confidences, np.full(len(events), label), every)
         spikes = {"input": np.zeros((3, 13), np.uint8)}
         return NetworkOutput(np.log(shares), spikes, curve, curve.find_first(self.threshold))
 

@@ -51,7 +51,7 @@ def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recording
     events = recordings[0]
     part = Events(*(getattr(events, n)[:40] for n in ("time_ns", "taxel", "polarity", "columns")))
     said = decider.begin().compute_output(part, 0.5)
-    shares = said.curve.shares[-1]
+    shares = said.curve.probabilities[-1]
     assert shares.sum() == pytest.approx(1)
     assert said.curve.find_last().confidence == pytest.approx(shares.max(), abs=1e-3)
     assert said.decided is None
@@ -85,7 +85,7 @@ def events_bundle():
         input_shape=(10, 10, 2),
         stimulus=EventFrames(0.01, refractory=1),
         layers=(conv1, networks.make_readout(conv1.shape, rng, classes=10)),
-        presentation=replace(small.presentation, steps=200, confidence=0.7),
+        presentation=replace(small.presentation, steps=200, threshold=0.7),
     )
     return Bundle(None, "random", spec, None)
 
@@ -143,13 +143,13 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
         at_the_end = deciding.compute_output(events, math.inf)
         np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
         summed = expected.scores[index] * 200
-        assert at_the_end.curve.shares[-1].max() == pytest.approx(
+        assert at_the_end.curve.probabilities[-1].max() == pytest.approx(
             compute_confidence(summed), abs=1e-3
         )
         assert at_the_end.curve.find_last().confidence == pytest.approx(compute_confidence(summed))
         # The moment of the early decision is the step of the check, whenever the page asks.
         stopped = expected.stopped_at[index]
-        if compute_confidence(summed) >= spec.presentation.confidence or stopped < 200:
+        if compute_confidence(summed) >= spec.presentation.threshold or stopped < 200:
             assert at_the_end.decided.seconds == pytest.approx(first_s + 0.01 * stopped)
             # Random weights with a bias can be confident before any output.
             assert expected.decisions[index, stopped - 1] in (-1, at_the_end.decided.label)

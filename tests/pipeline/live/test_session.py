@@ -88,7 +88,7 @@ def test_the_answer_is_to_all_events_so_far(session):
     assert verdict["confidence"] >= 0.9
     assert verdict["seconds"] in [pytest.approx(at, abs=1e-3) for at in seconds]
     assert 0 < verdict["seconds"] < seconds[-1]
-    assert len(base64.b64decode(spikes["chances"])) == 10 * len(seconds)
+    assert len(base64.b64decode(spikes["probabilities"])) == 10 * len(seconds)
     assert spikes["recording"] == answer["recording"]
     assert len(base64.b64decode(spikes["layers"]["input"])) == 3 * 13
     last = max(ns for reply in of(replies, "events") for ns in reply["ns"])
@@ -106,9 +106,9 @@ class Waits(Parrot):
         curve = replace(
             answer.curve,
             seconds=np.append(answer.curve.seconds, end),
-            values=np.append(answer.curve.values, 0.2),
+            confidences=np.append(answer.curve.confidences, 0.2),
             classes=np.append(answer.curve.classes, 0),
-            shares=np.append(answer.curve.shares, answer.curve.shares[-1:], 0),
+            probabilities=np.append(answer.curve.probabilities, answer.curve.probabilities[-1:], 0),
         )
         return replace(answer, curve=curve)
 

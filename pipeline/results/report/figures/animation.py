@@ -84,7 +84,7 @@ class _Animation:
         self._step_ms = 1000 * spec.stimulus.step_seconds
         self.extent_ms = self._step_ms * spec.presentation.steps
         first = spec.presentation.readout_start + 1
-        self._times_ms = self._step_ms * (first + np.arange(len(self._played.chances)))
+        self._times_ms = self._step_ms * (first + np.arange(len(self._played.probabilities)))
         self._decided_ms = self._times_ms[self._played.decided]
         self._growing = _accumulate_events(bundle.checks.inputs[index])
         sensor_axes, panels = self._make_figure(bundle.checks.ids[index])
@@ -108,7 +108,7 @@ class _Animation:
             mark.set_data(at_ms[at_ms <= now_ms], rows[at_ms <= now_ms])
         past = self._times_ms <= now_ms
         for number, curve in self._curves.items():
-            curve.set_data(self._times_ms[past], 100 * self._played.chances[past, number])
+            curve.set_data(self._times_ms[past], 100 * self._played.probabilities[past, number])
         self._say_prediction(now_ms)
         if now_ms >= self._decided_ms:
             self._say_decision()
@@ -179,8 +179,8 @@ class _Animation:
 
     def _add_probabilities(self, axes):
         """Add the probabilities; return the curve of each drawn class."""
-        limit = 100 * self._spec.presentation.threshold
-        decides = f"\n(decides at {limit:.1f})" if limit < 100 else ""
+        threshold = 100 * self._spec.presentation.threshold_or_1
+        decides = f"\n(decides at {threshold:.1f})" if threshold < 100 else ""
         speed = self.extent_ms / (FRAMES * FRAME_MS)
         pace = f"{speed:.2g} times faster" if speed > 1 else f"{1 / speed:.2g} times slower"
         axes.set(
@@ -193,7 +193,7 @@ class _Animation:
         for place, (number, style) in enumerate(zip(drawn, STYLES, strict=False), 1):
             name = shorten_name(self._classes[number], MAX_NAME_LENGTH)
             curves[number] = axes.plot([], [], find_colour(f"s{place}"), ls=style, label=name)[0]
-        axes.axhline(limit, color=find_colour("soft"), linestyle=":", visible=limit < 100)
+        axes.axhline(threshold, color=find_colour("soft"), linestyle=":", visible=threshold < 100)
         axes.legend(**LEGEND)
         return curves
 
@@ -203,9 +203,11 @@ class _Animation:
         step = min(step, self._played.decided)
         if step < 0:
             return
-        chances = self._played.chances[step]
-        likely = chances.max()
-        self._prediction.set_text(self._names[chances.argmax()] if likely >= MIN_SHOWN else "…")
+        probabilities = self._played.probabilities[step]
+        likely = probabilities.max()
+        self._prediction.set_text(
+            self._names[probabilities.argmax()] if likely >= MIN_SHOWN else "…"
+        )
         self._verdict.set_text(f"{self._measure} {_format_percent(likely)}")
 
     def _say_decision(self):
@@ -215,8 +217,8 @@ class _Animation:
         is_right = played.prediction == label
         is_last = self._decided_ms == self._times_ms[-1]
         when = "at the end" if is_last else f"decided after {self._decided_ms / 1000:.2f} s"
-        chance = played.chances[played.decided, played.prediction]
-        when += f"\n{self._measure} {_format_percent(chance)}"
+        probability = played.probabilities[played.decided, played.prediction]
+        when += f"\n{self._measure} {_format_percent(probability)}"
         ended = f"{when}: right" if is_right else f"{when}\nwrong, was {self._names[label]}"
         shade = find_colour("right" if is_right else "wrong")
         self._prediction.set(text=self._names[played.prediction], color=shade)

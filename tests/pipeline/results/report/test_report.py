@@ -159,8 +159,8 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     played = replay(replace(bundle, spec=spec), [3, 2])
     assert list(played) == [3, 2]
     for index, sample in played.items():
-        assert sample.chances.shape == (9, 10)
-        np.testing.assert_allclose(sample.chances.sum(1), 1)
+        assert sample.probabilities.shape == (9, 10)
+        np.testing.assert_allclose(sample.probabilities.sum(1), 1)
         for layer in sample.layers:
             ((_, steps, neurons),) = layer.groups
             assert len(steps) == counted[layer.name][index]
