@@ -17,7 +17,7 @@ import numpy as np
 
 import stmnist
 from experiments import unipen
-from pipeline.simulation import parameters
+from pipeline.simulation.simulate import SimulationSetup
 from pipeline.sources import load_simulated
 
 if __name__ == "__main__":
@@ -28,10 +28,8 @@ if __name__ == "__main__":
         turned = [tuple(stroke[::-1] for stroke in trace.strokes[::-1]) for trace in traces]
         traces = tuple(replace(t, strokes=s) for t, s in zip(traces, turned, strict=True))
     counts = np.bincount([trace.digit for trace in traces], minlength=10)
-    people = (
-        parameters.read_parameters()
-    )  # who press like the people of the network of the live page
-    recordings = load_simulated(0, counts, 2, traces=traces, parameters=people)
+    # The skin is pressed like that of the recordings of the live page's network.
+    recordings = load_simulated(0, counts, 2, SimulationSetup(traces=traces))
     columns = recordings.taxels.column, recordings.taxels.row
     events = [(*(c[r.taxel] for c in columns), r.time_ns, r.polarity > 0) for r in recordings]
     labels, writers = recordings.labels.tolist(), recordings.writers.tolist()

@@ -28,7 +28,13 @@ from pipeline.progress import hide_progress
 from pipeline.recordings.dataset import Dataset, make_dataset_origin, make_split
 from pipeline.results.study import Case, run_study
 from pipeline.settings import SIMULATED
-from pipeline.simulation import parameters
+from pipeline.simulation.parameters import (
+    DEFAULT_POPULATION,
+    Parameters,
+    Population,
+    read_parameters,
+)
+from pipeline.simulation.simulate import SimulationSetup
 from pipeline.sources import load_simulated
 from pipeline.training.adaptation.adapt import add_rehearsal, require_adaptable_recordings
 from pipeline.training.adaptation.refit import Person, refit
@@ -55,10 +61,10 @@ class People:
     """
 
     traces: tuple
-    parameters: parameters.Parameters
+    parameters: Parameters
 
 
-def select_people(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
+def select_people(pen: Path, fold: int, writers: int = DEFAULT_POPULATION.people) -> People:
     """Every third person of a file.
 
     Parameters
@@ -81,7 +87,7 @@ def select_people(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> Peo
     except ValueError as error:
         raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
     selected = tuple(trace for trace in traces if trace.writer in people)
-    return People(selected, replace(parameters.read_parameters(writers), shapes=shapes))
+    return People(selected, replace(read_parameters(Population(writers)), shapes=shapes))
 
 
 def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
@@ -92,7 +98,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     seed = settings.data.simulation_seed
     samples_per_digit = settings.data.samples_per_digit
     counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
-    training = load_simulated(seed, counts, 1, parameters=people.parameters)
+    training = load_simulated(seed, counts, 1, SimulationSetup(people.parameters))
     shares = settings.split.test_fraction, settings.split.validation_fraction
     split = make_split(training, case.seed, *shares)
     dataset = Dataset(
@@ -104,7 +110,8 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     spec = opened.make_spec()
     spec = add_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
-    recordings = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
+    setup = SimulationSetup(people.parameters, people.traces)
+    recordings = load_simulated(seed, counts, 1, setup)
     cases = list(measure_fits_to_people(spec, dataset.subset("test"), recordings, draws, case.seed))
     return {"recordings": hash_file(pen), "simulated": True, "people": cases}
 

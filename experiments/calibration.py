@@ -49,7 +49,7 @@ from pipeline.simulation import shape_model
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.parameters import FITTED, from_fit
 from pipeline.simulation.shape_model import ShapeModel, fit_in_box
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import SimulationSetup, simulate
 from pipeline.sources import load_recordings
 
 # Recordings of each digit that are needed at least.
@@ -247,7 +247,8 @@ def _measure_box(strokes):
 
 def simulate_fit(fit: dict, shapes: ShapeModel, samples_per_digit: int, seed: int, jobs: int):
     """Bits and labels of recordings that are simulated with a fit."""
-    recordings = simulate(seed, [samples_per_digit] * 10, jobs, parameters=from_fit(fit, shapes))
+    setup = SimulationSetup(from_fit(fit, shapes))
+    recordings = simulate(seed, [samples_per_digit] * 10, jobs, setup=setup)
     return chunk_recordings(recordings), recordings.labels
 
 

@@ -20,6 +20,7 @@ from pipeline.commands import options
 from pipeline.recordings.chunks import CHUNK_NS, CHUNKS, chunk_events
 from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.sensor import GRID, N_TAXELS, are_digits
+from pipeline.simulation.parameters import Population
 from pipeline.sources import SimulatedSource, load_recordings
 
 # Slices of a recording for the classifier of digits, and the penalty of its weights.
@@ -280,7 +281,8 @@ def main(
     real = load_recordings(str(data), jobs=jobs)
     if not are_digits(real.sensor.classes):
         raise UserError(f"{data}: its classes are not the ten digits; give recordings of digits")
-    recordings = load_recordings(jobs=jobs, simulated=SimulatedSource(seed, chunked=1.0))
+    simulated = SimulatedSource(seed, population=Population(chunked_share=1.0))
+    recordings = load_recordings(jobs=jobs, simulated=simulated)
     simulated = chunk_recordings(recordings)
     is_known = np.arange(len(recordings)) % 4 > 0
     trains = {"simulated": (simulated, recordings.labels)}

@@ -23,8 +23,8 @@ from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.sensor import GRID
 from pipeline.recordings.splits import PUBLISHED, RANDOM
 from pipeline.settings import SIMULATED, Settings
-from pipeline.simulation import parameters
-from pipeline.simulation.simulate import make_source, simulate
+from pipeline.simulation.parameters import DEFAULT_POPULATION, Population, read_parameters
+from pipeline.simulation.simulate import SimulationSetup, make_source, simulate
 
 
 @dataclass(frozen=True)
@@ -36,53 +36,40 @@ class SimulatedSource:
     seed : int
     samples_per_digit : int
         0 for the published numbers, 6,953 in all.
-    writers : int
-        Number of simulated people.
-    chunked : float
-        Share of the recordings that keep the order of events and not their time.
-    tablet : float
-        Share of the digits that are written as people write on a tablet.
-    reversed_share : float
-        Share of the people who draw a 0 or an 8 from its end to its beginning.
+    population : Population
     """
 
     seed: int = 0
     samples_per_digit: int = 0
-    writers: int = parameters.PEOPLE
-    chunked: float = 0.0
-    tablet: float = parameters.TABLET_SHARE
-    reversed_share: float = parameters.REVERSED_SHARE
+    population: Population = DEFAULT_POPULATION
 
     @classmethod
     def from_settings(cls, settings: Settings) -> "SimulatedSource":
         """The simulated recordings that are named in the settings."""
         data = settings.data
-        return cls(
-            data.simulation_seed,
-            data.samples_per_digit,
-            data.writers,
-            data.chunked,
-            data.tablet,
-            data.reversed,
+        population = Population(
+            people=data.writers,
+            chunked_share=data.chunked,
+            tablet_share=data.tablet,
+            reversed_share=data.reversed,
         )
+        return cls(data.simulation_seed, data.samples_per_digit, population)
 
     @property
     def counts(self) -> list:
         """Number of recordings of each digit."""
         return count_samples(self.samples_per_digit)
 
-    def describe_reading(self, rows: int, columns: int) -> dict:
-        """The people and the size of the skin, as :func:`load_simulated` takes them.
+    def make_setup(self, rows: int, columns: int) -> SimulationSetup:
+        """The people and the skin.
 
         Parameters
         ----------
         rows, columns : int
             0 for ten.
         """
-        people = parameters.read_parameters(
-            self.writers, self.chunked, self.tablet, self.reversed_share
-        )
-        return {"parameters": people, "size": (rows or GRID, columns or GRID)}
+        size = (rows or GRID, columns or GRID)
+        return SimulationSetup(read_parameters(self.population), size=size)
 
 
 def load_recordings(
@@ -112,8 +99,8 @@ def load_recordings(
     if source != SIMULATED:
         return import_recordings(Path(source), skip_bad, jobs, warn, reading)
     simulated = simulated or SimulatedSource()
-    parameters = simulated.describe_reading(reading.rows, reading.columns)
-    return load_simulated(simulated.seed, simulated.counts, jobs, **parameters)
+    setup = simulated.make_setup(reading.rows, reading.columns)
+    return load_simulated(simulated.seed, simulated.counts, jobs, setup)
 
 
 def load_named_recordings(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
@@ -163,8 +150,8 @@ def find_hash_and_split(settings: Settings) -> tuple:
     split = settings.split.kind
     if settings.data.source == SIMULATED:
         simulated = SimulatedSource.from_settings(settings)
-        parameters = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
-        sha256 = make_source(simulated.seed, simulated.counts, **parameters).sha256
+        setup = simulated.make_setup(settings.skin.rows, settings.skin.columns)
+        sha256 = make_source(simulated.seed, simulated.counts, setup).sha256
         return sha256, RANDOM if split == "auto" else split
     listing = list_source(settings.data.source)
     if split == "auto":
@@ -177,7 +164,9 @@ def count_samples(samples_per_digit: int) -> list:
     return [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
 
 
-def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
+def load_simulated(
+    seed: int, counts, jobs: int, setup: SimulationSetup | None = None
+) -> Recordings:
     """Simulated recordings, from the cache if they are in it.
 
     Parameters
@@ -187,14 +176,13 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
         Recordings of each digit.
     jobs : int
         Number of processes.
-    **how
-        ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
+    setup : SimulationSetup, optional
     """
-    path = find_path_of_simulated(make_source(seed, counts, **how).sha256)
+    path = find_path_of_simulated(make_source(seed, counts, setup).sha256)
     recordings = read_stored(path)
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:
-            new_recordings = simulate(seed, counts, jobs, advance, **how)
+            new_recordings = simulate(seed, counts, jobs, advance, setup)
             recordings = store_and_load(path, new_recordings)
     return recordings
 

@@ -18,7 +18,7 @@ LIF = Neurons(amplitude=0.01)
 LONG_PRESENTATION = {"steps": 100, "gap": 5, "readout_start": 0, "stream_length": 8}
 
 
-def make_convolution(name, input_shape, filters, kernel_size, rng, scale=1.0, pool=1, **geometry):
+def make_convolution(name, input_shape, filters, kernel_size, rng, pool=1, **geometry):
     """A convolution of LIF neurons on the chip, silent up to an input of about 0.
 
     ``stride`` and ``padding`` as the operation has them.
@@ -31,13 +31,13 @@ def make_convolution(name, input_shape, filters, kernel_size, rng, scale=1.0, po
         input_shape=input_shape,
         neurons=LIF,
         synapse=0.005,
-        weights=scale * 3 * weights / np.sqrt(weights[..., 0].size),
+        weights=3 * weights / np.sqrt(weights[..., 0].size),
         bias=rng.uniform(0.9, 1.1, filters),
         pool=pool,
     )
 
 
-def make_dense(name, input_shape, units, rng, scale=1.0, pool=1):
+def make_dense(name, input_shape, units, rng, pool=1):
     """A hidden dense layer of LIF neurons on the chip."""
     size = int(np.prod(compute_pooled_shape(input_shape, pool) if pool > 1 else input_shape))
     return Layer(
@@ -46,7 +46,7 @@ def make_dense(name, input_shape, units, rng, scale=1.0, pool=1):
         input_shape=input_shape,
         neurons=LIF,
         synapse=0.005,
-        weights=scale * 3 * rng.normal(size=(units, size)) / np.sqrt(size),
+        weights=3 * rng.normal(size=(units, size)) / np.sqrt(size),
         bias=rng.uniform(0.9, 1.1, units),
         pool=pool,
     )
@@ -88,7 +88,7 @@ def make_event_network(seed=0, **presentation):
     """6x6x2-4c4s1-5-3o on frames of events: a convolution and a hidden dense layer."""
     rng = np.random.default_rng(seed)
     shown = {"steps": 20, "gap": 4, "readout_start": 0, "stream_length": 3, **presentation}
-    conv1 = make_convolution("conv1", (6, 6, 2), 4, 4, rng, scale=8.0)
+    conv1 = excite(make_convolution("conv1", (6, 6, 2), 4, 4, rng), scale=8)
     dense1 = Layer(
         name="dense1", operation=DeployedDense(5), input_shape=conv1.shape,
         neurons=LIF, synapse=0.002,
@@ -111,7 +111,7 @@ def make_busy_image_network(on_chip_output=False):
     """
     spec = make_image_network(on_chip_output=on_chip_output, **LONG_PRESENTATION)
     layers = [
-        layer if layer.neurons is None else _excite(layer, scale=2, more_bias=2)
+        layer if layer.neurons is None else excite(layer, scale=2, more_bias=2)
         for layer in spec.layers
     ]
     return replace(spec, layers=tuple(layers))
@@ -129,8 +129,8 @@ def make_busy_event_network(section_starts=(0,), inhibition=0.0):
         are negative; 0 for a layer that is not recurrent.
     """
     rng = np.random.default_rng(1)
-    conv1 = make_convolution("conv1", (6, 6, 2), 4, 4, rng, scale=4.0)
-    dense1 = _excite(make_dense("dense1", conv1.shape, 30, rng), scale=1, more_bias=2)
+    conv1 = excite(make_convolution("conv1", (6, 6, 2), 4, 4, rng), scale=4)
+    dense1 = excite(make_dense("dense1", conv1.shape, 30, rng), scale=1, more_bias=2)
     output = make_readout((30,), rng, classes=5, section_starts=section_starts)
     if inhibition:
         weights = -inhibition * rng.uniform(0, 2, (30, 30)) / 30
@@ -145,7 +145,8 @@ def make_busy_event_network(section_starts=(0,), inhibition=0.0):
     )
 
 
-def _excite(layer, scale, more_bias):
+def excite(layer, scale, more_bias=0.0):
+    """The layer with larger weights and a larger bias, so that its neurons fire more often."""
     return replace(layer, weights=scale * layer.weights, bias=layer.bias + more_bias)
 
 

@@ -44,9 +44,7 @@ def sum_inputs(spikes, factors, first, position, row, kernel, sums):
 
 
 @_compile
-def integrate(  # noqa: PLR0913 - Numba takes each array as an argument
-    current, bias, rest_voltage, keep_u, keep_v, threshold, floor, voltage, spikes
-):
+def integrate(current, bias, rest_voltage, keep_u, keep_v, threshold, floor, voltage, spikes):
     """Integrate the neurons of a layer.
 
     ``current`` has the synaptic inputs q and is replaced by the currents u; ``voltage`` is set to
@@ -69,9 +67,7 @@ def integrate(  # noqa: PLR0913 - Numba takes each array as an argument
 
 
 @_compile
-def integrate_back(  # noqa: PLR0913 - Numba takes each array as an argument
-    error, spikes, current, voltage, keep_u, keep_v, threshold, floor, beta
-):
+def integrate_back(error, spikes, current, voltage, keep_u, keep_v, threshold, floor, beta):
     """Gradients of a layer's neurons.
 
     ``error`` has dE/ds and is replaced by dE/dq.

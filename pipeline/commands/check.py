@@ -71,7 +71,7 @@ Others = Annotated[
 ]
 
 
-def run(
+def run(  # noqa: PLR0913 - each is an option of the command
     bundle: options.Bundle,
     target_requested: Annotated[Any, _make_target_options],
     out: Annotated[

@@ -126,7 +126,7 @@ def stats(
 FIGURES = ("recording", "sheet")
 
 
-def plot(
+def plot(  # noqa: PLR0913 - each is an option of the command
     what: Annotated[str, typer.Argument(help=f"One of {', '.join(FIGURES)}.")],
     out: Annotated[Path, typer.Option(help="The picture to write: .png, .pdf or .svg.")],
     data: Source = SIMULATED,

@@ -7,7 +7,7 @@ import typer
 from pipeline.commands import options
 
 
-def predict(
+def predict(  # noqa: PLR0913 - each is an option of the command
     bundle: options.Bundle,
     data: Annotated[
         str,

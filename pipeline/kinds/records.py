@@ -26,11 +26,20 @@ MAX_CURVE_SAMPLES = 500
 SAMPLES_AT_ONCE = 2000
 
 
-def time_training(name: str, epochs: int, function, *arguments, **keywords) -> tuple:
-    """Run a training with a progress bar; return the network and the seconds that it took."""
+def time_training(name: str, epochs: int, train) -> tuple:
+    """Run a training with a progress bar; return the network and the seconds that it took.
+
+    Parameters
+    ----------
+    name : str
+        Name of the network.
+    epochs : int
+    train : callable
+        ``train(advance)`` returns the network, and calls ``advance(1, note)`` after each epoch.
+    """
     with progress(f"train {name}", epochs, "epochs") as advance:
         begun = time.perf_counter()
-        trained = function(*arguments, advance=advance, **keywords)
+        trained = train(advance)
         return trained, time.perf_counter() - begun
 
 

@@ -23,19 +23,36 @@ ASSUMED = Path(__file__).with_name("parameters.toml")
 FITTED = Path(__file__).with_name("fitted.json")
 FITTED_SHAPES = FITTED.with_suffix(".npz")
 
-# Simulated people, so many that a network does not learn single ones.
-PEOPLE = 1000
-
-# Share of the digits that are written as people write on a tablet (handwriting.npz); the others are
-# written as on the sensor (fitted.npz).
-TABLET_SHARE = 0.15
-
-# Share of the people who draw a 0 or an 8 from its end to its beginning, in addition to those who
-# are known to do so.
-REVERSED_SHARE = 0.1
-
 # Digits that are closed lines, which can be drawn in both directions.
 CLOSED_DIGITS = (0, 8)
+
+
+@dataclass(frozen=True)
+class Population:
+    """The simulated people, and how they write.
+
+    Attributes
+    ----------
+    people : int
+        Number of people, by default so many that a network does not learn single ones.
+    chunked_share : float
+        Share of the recordings that keep the order of events and not their time
+        (:mod:`pipeline.recordings.chunks`).
+    tablet_share : float
+        Share of the digits that are written as people write on a tablet (``handwriting.npz``); the
+        others are written as on the sensor (``fitted.npz``).
+    reversed_share : float
+        Share of the people who draw a 0 or an 8 from its end to its beginning, in addition to those
+        who are known to do so.
+    """
+
+    people: int = 1000
+    chunked_share: float = 0.0
+    tablet_share: float = 0.15
+    reversed_share: float = 0.1
+
+
+DEFAULT_POPULATION = Population()
 
 
 @dataclass(frozen=True)
@@ -93,7 +110,7 @@ class Parameters:
     faults: Any
     forms: tuple
     shapes: ShapeModel
-    people: int = PEOPLE
+    people: int = DEFAULT_POPULATION.people
     chunked: float = 0.0
 
     def compute_hash(self) -> str:
@@ -108,36 +125,14 @@ class Parameters:
 
 
 @functools.cache
-def read_parameters(
-    people: int = PEOPLE,
-    chunked: float = 0.0,
-    tablet: float = TABLET_SHARE,
-    reversed_share: float = REVERSED_SHARE,
-) -> Parameters:
-    """The built-in parameters.
-
-    Parameters
-    ----------
-    people : int
-        Number of writers.
-    chunked : float
-        Share of the recordings that keep the order of events and not their time.
-    tablet : float
-        Share of the digits that are written as people write on a tablet.
-    reversed_share : float
-        Share of the people who draw a 0 or an 8 from its end to its beginning.
-    """
+def read_parameters(population: Population = DEFAULT_POPULATION) -> Parameters:
+    """The built-in parameters, for some simulated people."""
     fit = json.loads(FITTED.read_text("utf-8"))
-    fitted = from_fit(fit, shape_model.read(FITTED_SHAPES), people, tablet, reversed_share)
-    return dataclasses.replace(fitted, chunked=chunked)
+    return from_fit(fit, shape_model.read(FITTED_SHAPES), population)
 
 
 def from_fit(
-    fit: dict,
-    shapes: ShapeModel,
-    people: int = PEOPLE,
-    tablet: float = TABLET_SHARE,
-    reversed_share: float = REVERSED_SHARE,
+    fit: dict, shapes: ShapeModel, population: Population = DEFAULT_POPULATION
 ) -> Parameters:
     """The assumed parameters together with fitted ones.
 
@@ -148,17 +143,12 @@ def from_fit(
         for each digit its :class:`Form`.
     shapes : ShapeModel
         How people write on the sensor; a share of the digits is written as on a tablet.
-    people : int
-        Number of writers.
-    tablet : float
-        Share of the digits that are written as people write on a tablet.
-    reversed_share : float
-        Share of the people who draw a 0 or an 8 from its end to its beginning.
+    population : Population
     """
     assumed = tomllib.loads(ASSUMED.read_text("utf-8"))
-    assumed["writers"]["tablet"] = tablet
+    assumed["writers"]["tablet"] = population.tablet_share
     assumed["writers"]["backwards"] = [
-        reversed_share if digit in CLOSED_DIGITS else 0 for digit in range(10)
+        population.reversed_share if digit in CLOSED_DIGITS else 0 for digit in range(10)
     ]
     sections = {
         name: _read_group(name, {**entries, **fit["sections"].get(name, {})})
@@ -167,8 +157,9 @@ def from_fit(
     return Parameters(
         **sections,
         forms=tuple(map(_make_form, fit["digits"])),
-        shapes=shape_model.read_shape_model().join(shapes, 1 - tablet),
-        people=people,
+        shapes=shape_model.read_shape_model().join(shapes, 1 - population.tablet_share),
+        people=population.people,
+        chunked=population.chunked_share,
     )
 
 

@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from joblib import delayed
@@ -16,7 +16,7 @@ from pipeline.recordings.recordings import Recordings, Source, join_recordings
 from pipeline.recordings.sensor import GRID, Sensor, TaxelMap
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
-from pipeline.simulation.parameters import PEOPLE, REVERSED_SHARE, TABLET_SHARE, read_parameters
+from pipeline.simulation.parameters import DEFAULT_POPULATION, Parameters, read_parameters
 from pipeline.simulation.spurious_events import draw_spurious_events
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
@@ -87,8 +87,28 @@ class TouchSignal:
     rng: np.random.Generator
 
 
+@dataclass(frozen=True)
+class SimulationSetup:
+    """Who writes on which skin.
+
+    Attributes
+    ----------
+    parameters : pipeline.simulation.parameters.Parameters
+        Default: the built-in ones.
+    traces : tuple of pipeline.simulation.handwriting.Trace
+        Recorded handwriting to press on the skin instead of that of simulated writers; empty for
+        theirs.
+    size : (int, int)
+        Rows and columns of the skin.
+    """
+
+    parameters: Parameters = field(default_factory=read_parameters)
+    traces: tuple = ()
+    size: tuple = SIZE
+
+
 def simulate(
-    seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=None, traces=None, size=SIZE
+    seed=0, samples_per_digit=None, jobs=2, advance=None, setup: SimulationSetup | None = None
 ) -> Recordings:
     """Simulate recordings of the paper's rig; they are marked as simulated.
 
@@ -105,12 +125,7 @@ def simulate(
         Number of processes.
     advance : callable, optional
         Called with the number of recordings finished since the last call.
-    parameters : pipeline.simulation.parameters.Parameters, optional
-        Default: the built-in ones.
-    traces : sequence of pipeline.simulation.handwriting.Trace, optional
-        Recorded handwriting to press on the skin instead of simulated writers.
-    size : (int, int)
-        Rows and columns of the skin.
+    setup : SimulationSetup, optional
 
     Returns
     -------
@@ -123,9 +138,11 @@ def simulate(
     UserError
         A digit is requested that no trace has.
     """
-    parameters = parameters or read_parameters()
+    setup = setup or SimulationSetup()
+    parameters = setup.parameters
+    size = setup.size
     counts = _make_counts(samples_per_digit)
-    samples = list_samples(seed, counts, parameters.people, traces)
+    samples = list_samples(seed, counts, parameters.people, setup.traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_simulate_batch)(seed, batch, parameters, size) for batch in batches)
@@ -139,31 +156,34 @@ def simulate(
         labels=[sample.digit for sample in samples],
         ids=[sample.name for sample in samples],
         writers=[sample.writer for sample in samples],
-        source=make_source(seed, counts, parameters, traces, size),
+        source=make_source(seed, counts, setup),
         taxels=TaxelMap.grid(*size),
         sensor=Sensor(*size),
     )
 
 
-def make_source(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
+def make_source(seed=0, samples_per_digit=None, setup: SimulationSetup | None = None) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
-    parameters = parameters or read_parameters()
+    setup = setup or SimulationSetup()
+    parameters = setup.parameters
+    traces = setup.traces
+    size = setup.size
     content = [VERSION, int(seed), _make_counts(samples_per_digit), parameters.compute_hash()]
     if tuple(size) != SIZE:
         content.append(list(size))
     digest = hashlib.sha256(json.dumps(content).encode())
-    for trace in traces or ():
+    for trace in traces:
         digest.update(np.array([trace.digit, trace.writer]).tobytes())
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
     if parameters.chunked:
         name += ", in chunks" if parameters.chunked == 1 else ", some in chunks"
-    if not traces and parameters.people != PEOPLE:
+    if not traces and parameters.people != DEFAULT_POPULATION.people:
         name += f", {parameters.people} people"
-    if not traces and parameters.writers.backwards[0] != REVERSED_SHARE:
+    if not traces and parameters.writers.backwards[0] != DEFAULT_POPULATION.reversed_share:
         name += f", {parameters.writers.backwards[0]:.0%} reversed"
-    if not traces and parameters.writers.tablet != TABLET_SHARE:
+    if not traces and parameters.writers.tablet != DEFAULT_POPULATION.tablet_share:
         name += f", {100 * parameters.writers.tablet:g} % as on a tablet"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)

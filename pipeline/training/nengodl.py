@@ -91,15 +91,9 @@ for _name in ("nengo_dl", "tensorflow"):
 
 
 def run(
-    settings: Settings,
-    weights: dict,
-    images,
-    n_steps: int,
-    spiking: bool = True,
-    batch: int = 200,
-    advance=None,
+    settings: Settings, weights: dict, images, n_steps: int, batch: int = 200, advance=None
 ) -> np.ndarray:
-    """Run the converted network on images, each from a fresh state.
+    """Run the spiking network on images, each from a fresh state.
 
     Parameters
     ----------
@@ -109,9 +103,7 @@ def run(
     images : ndarray, shape (n_samples, rows, columns, channels)
         Presented as constant currents.
     n_steps : int
-        Steps of 1 ms; 1 is enough for the rate-based neurons.
-    spiking : bool
-        Use spiking LIF neurons, not rate-based ones.
+        Steps of 1 ms.
     batch : int
         Maximum number of samples per batch.
     advance : callable, optional
@@ -122,18 +114,35 @@ def run(
     ndarray, shape (n_samples, steps, outputs)
         Logits at each step, including the readout's bias.
     """
-    converter, source, output = _convert(
-        settings,
-        weights,
-        nengo.LIF if spiking else nengo.LIFRate,
-        synapse=(settings.deployment.synapse or None) if spiking else None,
-    )
+    synapse = settings.deployment.synapse or None
+    network = _convert(settings, weights, nengo.LIF, synapse)
+    return _run_in_batches(network, images, n_steps, batch, advance)
+
+
+def run_rates(settings: Settings, weights: dict, images, batch: int = 200) -> np.ndarray:
+    """Run the network with rate-based neurons, whose outputs do not change over time.
+
+    Parameters
+    ----------
+    settings, weights, images, batch
+        As in :func:`run`.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, outputs)
+    """
+    network = _convert(settings, weights, nengo.LIFRate, None)
+    return _run_in_batches(network, images, 1, batch)[:, 0]
+
+
+def _run_in_batches(network, images, n_steps, batch, advance=None):
+    converter, source, output = network
     images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
     batch = min(batch, len(images))
     padding = -len(images) % batch  # NengoDL only runs full batches
     padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
     with nengo_dl.Simulator(
-        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+        converter.net, minibatch_size=batch, progress_bar=False, seed=converter.net.seed
     ) as simulator:
         results = []
         for images_of_batch in np.split(padded, len(padded) // batch):

@@ -19,7 +19,7 @@ from pipeline.recordings.formats.mat import read_recording
 from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.simulation import parameters
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import SimulationSetup, simulate
 from pipeline.sources import load_recordings
 
 
@@ -87,7 +87,8 @@ def test_the_published_arrays_are_chunks_of_the_files(shared_data, tmp_path):
 
 def test_the_share_of_simulated_recordings_in_chunks():
     whole = simulate(0, [4] * 10, 1)
-    half = simulate(0, [4] * 10, 1, parameters=parameters.read_parameters(chunked=0.5))
+    chunked = parameters.read_parameters(parameters.Population(chunked_share=0.5))
+    half = simulate(0, [4] * 10, 1, setup=SimulationSetup(chunked))
     is_chunked = [not (half[index].time_ns % CHUNK_NS).any() for index in range(len(half))]
     assert sum(is_chunked) == 20
     np.testing.assert_array_equal(

@@ -235,9 +235,7 @@ def _list_spikes(words, blocks, events, ends, in_use):
 
 
 @_jit()
-def _add_weights(  # noqa: PLR0913 - Numba takes each array as an argument
-    spikes, first, last, offset, entries, first_run, runs, pool, sums
-):
+def _add_weights(spikes, first, last, offset, entries, first_run, runs, pool, sums):
     """Add rows of weights, narrow ones to sums of 16 bits or wide ones to the input."""
     for e in range(uint64(first), uint64(last)):
         entry = uint64(spikes[e] + offset)
@@ -311,9 +309,7 @@ def _wrap(x, spare):
 
 
 @_jit()
-def _update_currents(  # noqa: PLR0913 - Numba takes each array as an argument
-    first, last, keep, shift, loaded, sums, total, current
-):
+def _update_currents(first, last, keep, shift, loaded, sums, total, current):
     """u <- wrap(decay(u) + wrap(q)); return the numbers of overflows of q and u."""
     over_q = int32(0)
     over_u = int32(0)
@@ -338,9 +334,7 @@ def _update_currents(  # noqa: PLR0913 - Numba takes each array as an argument
 
 
 @_jit()
-def _update_voltages(  # noqa: PLR0913 - Numba takes each array as an argument
-    first, last, keep, v_min, v_max, bias, current, voltage
-):
+def _update_voltages(first, last, keep, v_min, v_max, bias, current, voltage):
     """v <- clip(decay(v) + wrap(u + bias)); return the number of overflows of the sum."""
     over = int32(0)
     for i in range(first, last):
@@ -512,9 +506,7 @@ def _learn_floats(rule, rate, traces, errors, wide):
 
 
 @_jit()
-def _record(  # noqa: PLR0913 - Numba takes each array as an argument
-    recorded, s, current, voltage, spiked, currents, voltages, spikes
-):
+def _record(recorded, s, current, voltage, spiked, currents, voltages, spikes):
     """Store a step's values of the probed compartments."""
     for r in range(len(recorded)):
         key = recorded[r, 0]
@@ -539,7 +531,7 @@ def _copy(values, into):
 
 
 @_jit(from_python=True)
-def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all arrays of a network
+def advance_integers(  # noqa: C901, PLR0915 - one loop over time, on all arrays of a network
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
     noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,
@@ -681,7 +673,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
 
 
 @_jit(from_python=True)
-def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all arrays of a network
+def advance_floats(  # noqa: C901, PLR0915 - one loop over time, on all arrays of a network
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
     noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,

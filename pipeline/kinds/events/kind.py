@@ -1,7 +1,5 @@
 """The kind of spiking networks that are trained on the sensor's events."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from deploy.arithmetic import divide_up, thin
@@ -28,10 +26,10 @@ from pipeline.kinds.records import (
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, list_event_warnings
-from pipeline.recordings.spike_frames import EventTable
 from pipeline.settings import Settings
 from pipeline.storage.artifacts import DELETE_IT
 from pipeline.storage.run_folder import DELETE_ITS_FOLDER
+from pipeline.training.event_samples import EventSamples
 
 # Minimum number of samples for choosing a threshold; with fewer, the allowed loss, half a
 # percentage point, is less than half a sample.
@@ -48,24 +46,6 @@ CHECKPOINT = "checkpoint.npz"
 
 # Maximum number of held-out samples for the learning curve.
 MAX_CURVE_SAMPLES = 200
-
-
-class EventSamples(NamedTuple):
-    """Training samples, and held-out samples for choosing the threshold.
-
-    Attributes
-    ----------
-    table : EventTable
-        Events of all samples of the dataset.
-    labels : ndarray of int, shape (n_samples,)
-    train, held_out : ndarray of int
-        Indices of the recordings of each of the two sets.
-    """
-
-    table: EventTable
-    labels: np.ndarray
-    train: np.ndarray
-    held_out: np.ndarray
 
 
 def _compute_logits(stage, inputs, samples, advance):
@@ -145,19 +125,12 @@ class EventsKind(NetworkKind):
         epochs = format_count(design.epochs, "epoch")
         inputs.say(f"events: {epochs}, {format_count(updates, 'update')}, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
-        curve = thin(samples.held_out, MAX_CURVE_SAMPLES)
-        trained, seconds = time_training(
-            "events",
-            design.epochs,
-            events.train_events,
-            design,
-            samples.table,
-            samples.labels,
-            samples.train,
-            settings.seed,
-            validation=curve,
-            checkpoint=checkpoint,
-        )
+        of_curve = samples._replace(held_out=thin(samples.held_out, MAX_CURVE_SAMPLES))
+
+        def train(advance):
+            return events.train_events(design, of_curve, settings.seed, checkpoint, advance)
+
+        trained, seconds = time_training("events", design.epochs, train)
         write_network(artifact.folder, trained, on_test=False)
         epochs = len(trained.history)
         return {"epochs": epochs, "seconds": seconds, "versions": list_training_versions()}

@@ -72,8 +72,11 @@ def _train_cnn(settings, dataset, weights=None):
     augmentation = settings.cnn.augment
     samples = _collect_samples(dataset, "none" if augmentation == "auto" else augmentation)
     epochs = make_cnn_schedule(settings.cnn, len(samples)).epochs
-    seed = settings.seed
-    return time_training("cnn", epochs, train_cnn, settings, samples, seed, weights=weights)
+
+    def train(advance):
+        return train_cnn(settings, samples, settings.seed, advance, weights)
+
+    return time_training("cnn", epochs, train)
 
 
 def _collect_samples(dataset, augmentation):
@@ -125,9 +128,12 @@ def _train_further(name, function, inputs, artifact):
             augmentation = choose_image_augmentation(dataset.recordings)
     samples = _collect_samples(dataset, augmentation)
     epochs = make_snn_schedule(settings.snn, len(samples)).epochs
-    trained, seconds = time_training(
-        name, epochs, function, settings, samples, settings.seed, inputs.read_weights("cnn")
-    )
+    cnn_weights = inputs.read_weights("cnn")
+
+    def train(advance):
+        return function(settings, samples, settings.seed, cnn_weights, advance)
+
+    trained, seconds = time_training(name, epochs, train)
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = make_training_record(trained, dataset, seconds, list_training_versions())
     return trained, {**metrics, "augment": augmentation}

@@ -21,7 +21,7 @@ from pipeline.recordings.sensor import make_class_sort_key
 MAX_LISTED = 10
 
 
-def write_recordings(
+def write_recordings(  # noqa: PLR0913 - a public function, whose callers name all but the first
     path,
     recordings: Iterable,
     classes: Sequence[str] | None = None,

@@ -7,6 +7,7 @@ browser's own tooltips (``<title>``).
 
 import base64
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,48 +93,59 @@ def format_percent(share: float) -> str:
     return f"{100 * round(share, 3):.1f}\u00a0%"
 
 
-def draw_line_chart(
-    series, x_label: str, y_label: str, description: str = "", least=None, points=(), levels=()
-) -> Markup:
+@dataclass(frozen=True)
+class LineChart:
     """Lines over a common x axis; the names are in a separate legend, see :func:`draw_legend`.
 
-    Parameters
+    Attributes
     ----------
     series : sequence of Series
     x_label, y_label : str
     description : str
         Text for screen readers.
-    least : float, optional
-        Lower end of the y axis; default: that of the lines.
-    points : sequence of (x, y, name), optional
+    least : float or None
+        Lower end of the y axis; None for that of the lines.
+    points : sequence of (x, y, name)
         Single values.
-    levels : sequence of (y, name), optional
+    levels : sequence of (y, name)
         Dashed lines.
     """
-    every_x = np.concatenate([np.asarray(one.x, float) for one in series])
-    every_y = np.concatenate([np.ravel([*one.y, *np.ravel(one.intervals)]) for one in series])
-    every_y = np.append(every_y, [*(y for _, y, _ in points), *(y for y, _ in levels)])
-    lowest = every_y.min() if least is None else least
+
+    series: Sequence[Series]
+    x_label: str
+    y_label: str
+    description: str = ""
+    least: float | None = None
+    points: Sequence[tuple] = ()
+    levels: Sequence[tuple] = ()
+
+
+def draw_line_chart(chart: LineChart) -> Markup:
+    """Draw lines over a common x axis."""
+    every_x = np.concatenate([np.asarray(one.x, float) for one in chart.series])
+    every_y = np.concatenate([np.ravel([*one.y, *np.ravel(one.intervals)]) for one in chart.series])
+    every_y = np.append(every_y, [*(y for _, y, _ in chart.points), *(y for y, _ in chart.levels)])
+    lowest = every_y.min() if chart.least is None else chart.least
     x_axis = _Axis(every_x.min(), every_x.max(), LEFT, CHART - RIGHT)
     y_axis = _Axis(lowest, every_y.max(), HEIGHT - BOTTOM, TOP)
-    marks = [_draw_axes(x_axis, y_axis, x_label, y_label)]
-    for number, one in enumerate(series, 1):
+    marks = [_draw_axes(x_axis, y_axis, chart.x_label, chart.y_label)]
+    for number, one in enumerate(chart.series, 1):
         if one.intervals:
             low, high = zip(*one.intervals, strict=True)
             around = _format_points(x_axis, y_axis, (*one.x, *one.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
         marks.append(_draw_line(x_axis, y_axis, one, number))
-    for level, name in levels:
+    for level, name in chart.levels:
         height = y_axis(level)
         marks.append(_draw_segment("reference", LEFT, height, CHART - RIGHT, height))
         # On the side of the line where no curve ends.
-        aside = 16 if any(one.y[-1] > level for one in series) else -6
+        aside = 16 if any(one.y[-1] > level for one in chart.series) else -6
         marks.append(_draw_text(CHART - RIGHT, height + aside, f"{name} {level:.1f}", "end"))
-    for x, y, name in points:
+    for x, y, name in chart.points:
         marks.append(_draw_dot(x_axis(x), y_axis(y), f"{name}: {y:.1f} %"))
-        aside = 18 if any(0 <= level - y < 9 for level, _ in levels) else -9
+        aside = 18 if any(0 <= level - y < 9 for level, _ in chart.levels) else -9
         marks.append(_draw_text(x_axis(x), y_axis(y) + aside, f"{name} {y:.1f}", "end"))
-    return _make_svg(CHART, HEIGHT, marks, description)
+    return _make_svg(CHART, HEIGHT, marks, chart.description)
 
 
 def draw_interval(value: float, low: float, high: float, least: float) -> Markup:

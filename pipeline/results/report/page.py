@@ -307,7 +307,15 @@ def _draw_over_time(inputs):
     middle = times[-1] / 2
     return {
         "chart": charts.draw_line_chart(
-            [series], label, "accuracy, %", "Accuracy over time", 0, points, levels
+            charts.LineChart(
+                [series],
+                x_label=label,
+                y_label="accuracy, %",
+                description="Accuracy over time",
+                least=0,
+                points=points,
+                levels=levels,
+            )
         ),
         "half": accuracies[int(np.searchsorted(times, middle))] if times[0] <= middle else None,
         "name": series.name,
@@ -517,7 +525,7 @@ def _draw_learning_curves(histories):
                 series.append(charts.Series(title, epochs, percents))
         if series:
             chart = charts.draw_line_chart(
-                series, "epoch", "accuracy, %", f"Learning curve: {name}"
+                charts.LineChart(series, "epoch", "accuracy, %", f"Learning curve: {name}")
             )
             legend = charts.draw_legend([curve.name for curve in series])
             curves.append({"title": name, "chart": chart, "legend": legend})

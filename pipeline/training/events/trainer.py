@@ -13,7 +13,7 @@ from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
 from models.spiking.gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.spike_frames import EventTable
+from pipeline.training.event_samples import EventSamples
 from pipeline.training.event_updates import TAIL_STEPS
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
 from pipeline.training.events.design import EventDesign
@@ -41,13 +41,10 @@ BATCHES_SORTED = 16
 EVALUATED_TOGETHER = 100
 
 
-def train_events(  # noqa: PLR0913 - the last three have defaults; callers name them
+def train_events(
     design: EventDesign,
-    table: EventTable,
-    labels,
-    train,
+    samples: EventSamples,
     seed: int,
-    validation=(),
     checkpoint: Checkpoint | None = None,
     advance=None,
 ) -> TrainedOnEvents:
@@ -56,15 +53,12 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
     Parameters
     ----------
     design : EventDesign
-    table : EventTable
-    labels : ndarray of int, shape (n_samples,)
-    train : ndarray of int
-        Indices of the training samples; those without events are left out.
+    samples : EventSamples
+        Training samples without events are left out; those that are held out are evaluated for the
+        history only.
     seed : int
         Seed of the initial weights, the order of the samples, data augmentation and dropout.  The
         weights are reproducible on the same machine.
-    validation : ndarray of int, optional
-        Indices of samples that are evaluated for the history only.
     checkpoint : Checkpoint, optional
         The file for the state after each epoch; an interrupted training resumes from it, with the
         same result as without the interruption.
@@ -81,14 +75,14 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
         The checkpoint is damaged, or there is no training sample with an event.
     """
     make_deterministic(seed)  # of the estimator
-    train = np.asarray(train)
-    design = design.with_epochs_for(len(train))
-    train = train[np.diff(table.offsets)[train] > 0]
+    design = design.with_epochs_for(len(samples.train))
+    train = samples.train[np.diff(samples.table.offsets)[samples.train] > 0]
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
     with threadpool_limits(1, "blas"):  # samples are in several threads already
-        trainer = Trainer(design, table, np.asarray(labels), train, seed)
-        watch = functools.partial(trainer.evaluate, validation) if len(validation) else None
+        trainer = Trainer(design, samples._replace(train=train), seed)
+        held_out = samples.held_out
+        watch = functools.partial(trainer.evaluate, held_out) if len(held_out) else None
         history = train_epochs(
             trainer.train_epoch, design.epochs, trainer.state, checkpoint, watch, advance
         )
@@ -110,17 +104,17 @@ class Trainer:
 
     Parameters
     ----------
-    design, table, labels, train, seed
+    design, samples, seed
         As for :func:`train_events`; each training sample has an event.
     """
 
-    def __init__(self, design: EventDesign, table: EventTable, labels, train, seed: int):
+    def __init__(self, design: EventDesign, samples: EventSamples, seed: int):
         self.design = design
-        self.table = table
-        self.labels = labels
-        self.train = train
+        self.table = samples.table
+        self.labels = samples.labels
+        self.train = samples.train
         self.seed = seed
-        self.batches = divide_up(len(train), design.batch_size)
+        self.batches = divide_up(len(samples.train), design.batch_size)
         self._network = design.make_network(seed)
         self._gradient = SpikingGradient(
             parse(design.architecture), design.neuron, design.section_starts

@@ -79,7 +79,7 @@ def events_bundle():
     """An events bundle of random weights, for whole recordings in steps of 10 ms."""
     rng = np.random.default_rng(0)
     small = networks.make_event_network()
-    conv1 = networks.make_convolution("conv1", (10, 10, 2), 4, 4, rng, scale=8.0)
+    conv1 = networks.excite(networks.make_convolution("conv1", (10, 10, 2), 4, 4, rng), scale=8)
     spec = replace(
         small,
         input_shape=(10, 10, 2),

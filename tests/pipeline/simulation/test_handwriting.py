@@ -82,7 +82,9 @@ def test_people_differ_as_the_parameters_say():
 
 def test_a_person_does_not_depend_on_the_number_of_people():
     one, other = (
-        handwriting.draw_writer(np.random.default_rng([7, 3]), parameters.read_parameters(count))
+        handwriting.draw_writer(
+            np.random.default_rng([7, 3]), parameters.read_parameters(parameters.Population(count))
+        )
         for count in (10, 99)
     )
     assert one.tempo == other.tempo

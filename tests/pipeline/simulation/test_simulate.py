@@ -11,7 +11,7 @@ from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
 from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
 from pipeline.simulation import parameters
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import list_samples, make_source, simulate
+from pipeline.simulation.simulate import SimulationSetup, list_samples, make_source, simulate
 
 FEW = [8] * 10
 
@@ -39,7 +39,7 @@ def test_labels_ids_writers_and_source(recordings):
     assert recordings.ids[:2] == ("0/0000", "0/0001")
     assert recordings.ids[-1] == "9/0007"
     assert recordings.writers.min() >= 0
-    assert recordings.writers.max() < parameters.PEOPLE
+    assert recordings.writers.max() < parameters.DEFAULT_POPULATION.people
     assert recordings.source.simulated
     assert "simulated" in recordings.source.name
     assert recordings.source == make_source(5, FEW)
@@ -58,11 +58,11 @@ def test_the_hash_is_over_all_that_matters(recordings):
     changed = replace(p, skin=replace(p.skin, spread=p.skin.spread + 0.01))
     another = replace(p, shapes=replace(p.shapes, tempo=p.shapes.tempo + 0.1))
     hashes = {
-        make_source(5, FEW, another).sha256,
+        make_source(5, FEW, SimulationSetup(another)).sha256,
         make_source(5, FEW).sha256,
         make_source(6, FEW).sha256,
         make_source(5, [9, *FEW[1:]]).sha256,
-        make_source(5, FEW, changed).sha256,
+        make_source(5, FEW, SimulationSetup(changed)).sha256,
     }
     assert len(hashes) == 5
 
@@ -90,7 +90,7 @@ def without_faults():
 
 def test_no_taxel_fires_twice_within_its_blind_time():
     p = parameters.read_parameters().receptor
-    recordings = simulate(5, FEW, 1, parameters=without_faults())
+    recordings = simulate(5, FEW, 1, setup=SimulationSetup(without_faults()))
     for index in range(len(recordings)):
         events = recordings[index]
         order = np.lexsort((events.time_ns, events.taxel))
@@ -127,8 +127,9 @@ def bar(digit, writer):
 
 
 def test_recorded_handwriting_is_pressed_on_the_skin():
-    traces = [bar(1, 4), bar(1, 9), bar(0, 4)]
-    recordings = simulate(2, [1, 4] + [0] * 8, 1, parameters=without_faults(), traces=traces)
+    traces = (bar(1, 4), bar(1, 9), bar(0, 4))
+    setup = SimulationSetup(without_faults(), traces)
+    recordings = simulate(2, [1, 4] + [0] * 8, 1, setup=setup)
     assert sorted(recordings.writers[1:]) == [4, 4, 9, 9]  # both before either comes twice
     lying, upright = recordings[0], recordings[1]
     taxels = recordings.taxels
@@ -139,4 +140,4 @@ def test_recorded_handwriting_is_pressed_on_the_skin():
     assert recordings.source.simulated
     assert recordings.source.sha256 != simulate(2, [1, 4] + [0] * 8, jobs=1).source.sha256
     with pytest.raises(UserError, match=r"\b3\b"):
-        simulate(2, [0, 0, 0, 1] + [0] * 6, traces=traces)
+        simulate(2, [0, 0, 0, 1] + [0] * 6, setup=setup)

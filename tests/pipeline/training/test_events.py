@@ -9,6 +9,7 @@ from models.architecture import parse
 from models.spiking.network import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration
+from pipeline.training.event_samples import EventSamples
 from pipeline.training.event_updates import TAIL_STEPS
 from pipeline.training.events import (
     Checkpoint,
@@ -64,7 +65,7 @@ def trained(data, told):
     learn = trainer.train_estimator
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trainer, "train_estimator", train_estimator)
-        return train_events(DESIGN, *data, seed=3, validation=VALIDATION)
+        return train_events(DESIGN, EventSamples(*data, VALIDATION), seed=3)
 
 
 def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
@@ -167,7 +168,9 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
 
 def test_a_budget_is_kept(trained, data):
     assert trained.history[-1]["operations"] < DESIGN.budget  # it costs nothing there
-    tight = train_events(replace(DESIGN, budget=0.0, price=50.0), *data, seed=3)
+    tight = train_events(
+        replace(DESIGN, budget=0.0, price=50.0), EventSamples(*data, VALIDATION[:0]), seed=3
+    )
     assert tight.history[-1]["operations"] < 0.8 * trained.history[-1]["operations"]
 
 
@@ -179,9 +182,9 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
 
     seen, path = [], Checkpoint(tmp_path / "state.npz", "this one")
     with pytest.raises(KeyboardInterrupt):
-        train_events(DESIGN, *data, 3, VALIDATION, path, interrupt)
+        train_events(DESIGN, EventSamples(*data, VALIDATION), 3, path, interrupt)
     seen = [0, 0, 0]
-    resumed = train_events(DESIGN, *data, 3, VALIDATION, path, interrupt)
+    resumed = train_events(DESIGN, EventSamples(*data, VALIDATION), 3, path, interrupt)
     assert seen[3:] == [3, 1, 1, 1]
     for name, value in resumed.weights.items():
         np.testing.assert_allclose(value, trained.weights[name], rtol=1e-4, atol=1e-6)
@@ -193,4 +196,4 @@ def test_samples_without_events_are_left_out(data):
     table, labels, _ = data
     empty = replace(table, offsets=np.zeros_like(table.offsets))
     with pytest.raises(UserError, match="event"):
-        train_events(DESIGN, empty, labels, np.arange(10), 0)
+        train_events(DESIGN, EventSamples(empty, labels, np.arange(10), np.arange(0)), 0)

@@ -53,10 +53,10 @@ def weights():
 def test_the_rate_network_in_nengodl_is_the_trained_one(images, weights):
     settings = settings_of("paper")
     trained = TrainedRates(settings, weights).compute_logits(images)
-    ours = nengodl.run(settings, weights, images, 1, spiking=False, batch=4)
-    assert ours.shape == (N, 1, 10)
+    ours = nengodl.run_rates(settings, weights, images, batch=4)
+    assert ours.shape == (N, 10)
     assert trained.std() > 0.3
-    np.testing.assert_allclose(ours[:, 0], trained, atol=2e-4)
+    np.testing.assert_allclose(ours, trained, atol=2e-4)
 
 
 def test_what_ran_before_in_the_process_makes_no_difference(images, weights):

@@ -37,7 +37,9 @@ def test_marks_of_a_timeline_share_their_time_axis():
 def test_a_point_s_name_does_not_cross_the_dashed_line(value, is_below):
     series = charts.Series("a", (0, 1), (0.0, value))
     points, levels = [(1, value, "end")], [(92, "regression")]
-    chart = charts.draw_line_chart([series], "x", "y", least=0, points=points, levels=levels)
+    chart = charts.draw_line_chart(
+        charts.LineChart([series], "x", "y", least=0, points=points, levels=levels)
+    )
     root = ElementTree.fromstring(chart)
     at = {text.text.split()[0]: float(text.get("y")) for text in root.iter("text")}
     dot = float(root.find(".//*[@class='dot']").get("cy"))
