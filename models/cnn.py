@@ -300,14 +300,14 @@ def compute_activations(model: tf.keras.Model, images) -> dict:
     dict of str to ndarray, shape (n_samples, n_neurons)
         ``"conv1"``, ..., ``"dense1"``, ...; neurons in the order (row, column, channel).
     """
-    suffix = "_neurons"
-    layers = [layer for layer in model.layers if layer.name.endswith(suffix)]
+    ending = "_neurons"
+    layers = [layer for layer in model.layers if layer.name.endswith(ending)]
     probe = tf.keras.Model(model.input, {layer.name: layer.output for layer in layers})
     by_batch = [probe(batch, training=False) for batch in _split_into_batches(images)]
     outputs = {}
     for layer in layers:
         values = np.concatenate([batch[layer.name] for batch in by_batch])
-        outputs[layer.name.removesuffix(suffix)] = values.reshape(len(images), -1)
+        outputs[layer.name.removesuffix(ending)] = values.reshape(len(images), -1)
     return outputs
 
 

@@ -70,16 +70,33 @@ def make_readout(input_shape, rng, classes=10, on_chip=False, section_starts=(0,
 
 def make_image_network(seed=0, on_chip_output=False, **presentation):
     """6x6-4c3-8c2-10o, shown for a short time."""
-    rng = np.random.default_rng(seed)
     shown = {"steps": 30, "gap": 5, "readout_start": 8, "stream_length": 3, **presentation}
-    conv1 = make_convolution("conv1", (6, 6, 1), 4, 3, rng)
-    conv2 = make_convolution("conv2", conv1.shape, 8, 2, rng)
+    spec = make_two_convolutions(6, (4, 3), (8, 2), seed, on_chip_output)
+    return replace(spec, presentation=Presentation(**shown))
+
+
+def make_two_convolutions(side, first, second, seed=0, on_chip_output=False):
+    """A network on square images with two convolutions and ten outputs.
+
+    Parameters
+    ----------
+    side : int
+        Rows and columns of an image.
+    first, second : (int, int)
+        Number and side length of the filters of each convolution.
+    seed : int
+    on_chip_output : bool
+    """
+    rng = np.random.default_rng(seed)
+    conv1 = make_convolution("conv1", (side, side, 1), *first, rng)
+    conv2 = make_convolution("conv2", conv1.shape, *second, rng)
+    layers = "-".join(f"{filters}c{size}" for filters, size in (first, second))
     return NetworkSpec(
-        architecture="6x6-4c3-8c2-10o",
-        input_shape=(6, 6, 1),
+        architecture=f"{side}x{side}-{layers}-10o",
+        input_shape=(side, side, 1),
         stimulus=ImageSpikes(),
         layers=(conv1, conv2, make_readout(conv2.shape, rng, on_chip=on_chip_output)),
-        presentation=Presentation(**shown),
+        presentation=Presentation(),
         provenance={"simulated": True, "weights": "random"},
     )
 

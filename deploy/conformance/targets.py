@@ -37,23 +37,19 @@ class _Tried:
         return self.target.run(spec, streams, 0, self.options)
 
 
-def assert_target_conforms(
-    target: Target, computes_network: bool = True, options: Optional[Options] = None
-):
+def assert_target_conforms(target: Target, options: Optional[Options] = None):
     """Find the usual mistakes of a target; each is an error that names the mistake.
 
     The target is tried on images, on events, with output neurons, with a readout in sections and
     with recurrent neurons.  These are the mistakes: outputs of wrong shapes and types, samples or
-    streams that disturb each other, and outputs that are not those of the network.
+    streams that disturb each other, and outputs that are not those of the network: if the target is
+    exact, those of the chip's emulator, otherwise those of
+    :func:`deploy.network.reference.run_reference`, up to the target's ``tolerance``.
 
     Parameters
     ----------
     target : Target
         It need not be registered.
-    computes_network : bool
-        True if its readout and spikes must be those of the network: if the target is exact, those
-        of the chip's emulator, otherwise those of :func:`deploy.network.reference.run_reference`,
-        up to the target's ``tolerance``.
     options : Options, optional
         Options with which it computes the network, such as noise of 0; by default its defaults.
 
@@ -61,17 +57,30 @@ def assert_target_conforms(
     ------
     AssertionError, ValueError
     """
-    if options is None and target.options is not None:
-        options = target.options()
-    tried = _Tried(target, options)
+    tried = _Tried(target, _choose_options(target, options))
     _assert_forms(tried)
-    if computes_network:
-        for title, (spec, samples) in make_busy_networks().items():
-            _assert_values(tried, title, spec, samples)
+    for title, (spec, samples) in make_busy_networks().items():
+        _assert_values(tried, title, spec, samples)
+
+
+def assert_output_forms(target: Target, options: Optional[Options] = None):
+    """Find the mistakes of :func:`assert_target_conforms` in shapes, types and streams only.
+
+    Parameters
+    ----------
+    target, options
+        As for :func:`assert_target_conforms`.
+    """
+    _assert_forms(_Tried(target, _choose_options(target, options)))
+
+
+def _choose_options(target, options):
+    """The given options, or else the target's defaults."""
+    return target.options() if options is None and target.options is not None else options
 
 
 def _assert_forms(tried):
-    """Its outputs have the right shapes on networks of all forms."""
+    """Require outputs of the right shapes on networks of all forms."""
     images = make_image_network(stream_length=3)
     _assert_streams(tried, images, draw_images(images, 5, np.random.default_rng(0)))
     on_chip = make_image_network(on_chip_output=True, stream_length=2)

@@ -301,7 +301,7 @@ class Layer:
     def to_json(self) -> dict:
         """The description without the arrays, for ``network.json``."""
         several = self.synapses_per_weight > 1
-        return {
+        values = {
             "name": self.name,
             "kind": self.kind,
             "input_shape": self.input_shape,
@@ -309,15 +309,14 @@ class Layer:
             "placement": self.placement,
             "neurons": None if self.neurons is None else asdict(self.neurons),
             "synapse": self.synapse,
-            "kernel": PLACEHOLDERS["kernel"],
             "block_shape": self.block_shape,
-            "stride": PLACEHOLDERS["stride"],
-            "padding": PLACEHOLDERS["padding"],
             "pool": self.pool,
             "starts": self.section_starts,
             **({"synapses_per_weight": self.synapses_per_weight} if several else {}),
             **self.operation.to_file(),
         }
+        order = [*(name for name in ORDER_IN_FILE if name in values), *values]
+        return {name: values[name] for name in dict.fromkeys(order)}
 
     @classmethod
     def from_json(cls, plain: dict, arrays: dict, where: str) -> Layer:
@@ -407,9 +406,24 @@ class LayerRecord:
 # Names in a layer's description that no operation may have for its numbers.
 LAYER_NAMES = {entry.name for entry in fields(LayerRecord)}
 
-# Numbers of a convolution.  Every layer of a bundle has them, whatever its operation; one that has
-# no such numbers does not read them.
-PLACEHOLDERS = {"kernel": 0, "stride": 1, "padding": "valid"}
+# Order of a layer's entries in a bundle; those of further operations follow.  A change of the order
+# would change the bundle's id.
+ORDER_IN_FILE = (
+    "name",
+    "kind",
+    "input_shape",
+    "shape",
+    "placement",
+    "neurons",
+    "synapse",
+    "kernel",
+    "block_shape",
+    "stride",
+    "padding",
+    "pool",
+    "starts",
+    "synapses_per_weight",
+)
 
 
 def read_operation(plain: dict, record: LayerRecord, where: str) -> DeployedOperation:
@@ -421,12 +435,7 @@ def read_operation(plain: dict, record: LayerRecord, where: str) -> DeployedOper
         A number is missing, unknown, of another type or out of range.
     """
     operation = DEPLOYED_OPERATIONS[record.kind]
-    names = operation.list_file_names()
-    numbers = {
-        name: value
-        for name, value in plain.items()
-        if name in names or name not in (*LAYER_NAMES, *PLACEHOLDERS)
-    }
+    numbers = {name: value for name, value in plain.items() if name not in LAYER_NAMES}
     try:
         return operation.from_file(numbers, record.shape)
     except WrongValue as error:

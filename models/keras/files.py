@@ -189,12 +189,12 @@ def _list_layer_configs(config):
 
 
 @contextlib.contextmanager
-def _link_with_ending(path: Path, suffix: str) -> Iterator[str]:
+def _link_with_ending(path: Path, ending: str) -> Iterator[str]:
     """A path to the file with the ending by which Keras recognises the format."""
-    if path.suffix == suffix:
+    if path.suffix == ending:
         yield str(path)
         return
     with tempfile.TemporaryDirectory() as folder:
-        link = Path(folder) / f"model{suffix}"
+        link = Path(folder) / f"model{ending}"
         os.symlink(path.absolute(), link)
         yield str(link)

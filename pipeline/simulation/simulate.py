@@ -197,7 +197,7 @@ def _make_counts(samples_per_digit):
     return counts
 
 
-def list_samples(seed, counts, people, traces=None) -> list:
+def list_samples(seed, counts, people, traces=()) -> list:
     """The samples of a data set.
 
     Parameters
@@ -218,7 +218,7 @@ def list_samples(seed, counts, people, traces=None) -> list:
     UserError
         A digit is requested that no trace has.
     """
-    if traces is None:
+    if not traces:
         return [
             PlannedRecording(digit, index, index * people // count)
             for digit, count in enumerate(counts)

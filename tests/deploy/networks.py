@@ -11,6 +11,7 @@ from deploy.conformance.networks import (
     make_dense,
     make_image_network,
     make_readout,
+    make_two_convolutions,
 )
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
@@ -37,17 +38,8 @@ def make_mixed_network(seed=0):
 
 def make_paper_network(seed=0, **presentation):
     """10x10-6c4-24c3-10o, the size of the paper's network."""
-    rng = np.random.default_rng(seed)
-    conv1 = make_convolution("conv1", (10, 10, 1), 6, 4, rng)
-    conv2 = make_convolution("conv2", conv1.shape, 24, 3, rng)
-    return NetworkSpec(
-        architecture="10x10-6c4-24c3-10o",
-        input_shape=(10, 10, 1),
-        stimulus=ImageSpikes(),
-        layers=(conv1, conv2, make_readout(conv2.shape, rng)),
-        presentation=Presentation(**presentation),
-        provenance={"simulated": True, "weights": "random"},
-    )
+    spec = make_two_convolutions(10, (6, 4), (24, 3), seed)
+    return replace(spec, presentation=Presentation(**presentation))
 
 
 def draw_checks(spec, count, seed=0):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import ClassVar, Tuple
 
 import numpy as np
@@ -36,8 +36,8 @@ class DeployedOperation:
     defaults are not good enough:
 
     ===========================  ===================================================================
-    `to_file`, `from_file`,      if a number is already in the layer's shape, or has another name in
-    `list_file_names`            a bundle
+    `to_file`, `from_file`       if a number is already in the layer's shape, or has another name in
+                                 a bundle
     `count_fan_out`,             if the sums of as many samples as there are inputs need much memory
     `make_matrix`,
     `find_largest_weights`
@@ -168,11 +168,6 @@ class DeployedOperation:
     def to_file(self) -> dict:
         """The operation's numbers in a bundle, by name, but for those in the layer's shapes."""
         return asdict(self)
-
-    @classmethod
-    def list_file_names(cls) -> tuple:
-        """Names of the operation's numbers in a bundle."""
-        return tuple(entry.name for entry in fields(cls))
 
     @classmethod
     def from_file(cls, numbers: dict, shape) -> DeployedOperation:

@@ -8,7 +8,7 @@ from typing import List, NamedTuple
 import numpy as np
 
 from ...arithmetic import divide_up
-from ...loading import Limit, WrongValue, limited_field, load_dataclass
+from ...loading import Limit, limited_field, load_dataclass
 from ..geometry import (
     compute_convolution_shape,
     compute_padded_kernel_size,
@@ -52,7 +52,7 @@ class DeployedConvolution(DeployedOperation):
     """
 
     filters: int = limited_field(AT_LEAST_1)
-    kernel_size: int = limited_field(AT_LEAST_1)
+    kernel_size: int = limited_field(AT_LEAST_1, name_in_file="kernel")
     stride: int = limited_field(AT_LEAST_1, 1)
     padding: str = limited_field(PADDING, "valid")
     kind = "conv"
@@ -62,19 +62,8 @@ class DeployedConvolution(DeployedOperation):
         return {"kernel": self.kernel_size, "stride": self.stride, "padding": self.padding}
 
     @classmethod
-    def list_file_names(cls):
-        return ("kernel", "stride", "padding")
-
-    @classmethod
     def from_file(cls, numbers, shape):
-        values = {**numbers, "filters": shape[-1]}
-        if "kernel" in values:
-            values["kernel_size"] = values.pop("kernel")
-        try:
-            return load_dataclass(cls, values)
-        except WrongValue as error:
-            name = "kernel" if error.name == "kernel_size" else error.name
-            raise WrongValue(name, error.problem) from error
+        return load_dataclass(cls, {**numbers, "filters": shape[-1]})
 
     def compute_shape(self, pooled_shape):
         shape = compute_convolution_shape(

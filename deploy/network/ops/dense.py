@@ -20,6 +20,9 @@ from .base import (
     find_index_bits,
 )
 
+# Entries of every dense layer in a bundle, which are not read.
+PLACEHOLDERS = {"kernel": 0, "stride": 1, "padding": "valid"}
+
 
 @dataclass(frozen=True)
 class DeployedDense(DeployedOperation):
@@ -36,11 +39,12 @@ class DeployedDense(DeployedOperation):
     can_recur = True
 
     def to_file(self):
-        return {}
+        return dict(PLACEHOLDERS)
 
     @classmethod
     def from_file(cls, numbers, shape):
-        return load_dataclass(cls, {**numbers, "units": shape[-1]})
+        own = {name: value for name, value in numbers.items() if name not in PLACEHOLDERS}
+        return load_dataclass(cls, {**own, "units": shape[-1]})
 
     def compute_shape(self, pooled_shape):
         return (self.units,)

@@ -5,7 +5,7 @@
     LUT.mat, taxels.csv           rows and columns, or positions, of the taxels, optional
     classes.txt                   names of the classes in the order of their labels, optional
     train/, test/                 the parts of a published split, optional
-        <class>/<recording>       all with one suffix
+        <class>/<recording>       all with one ending
 
 or the class is in the name of each file, ``<name>_label_<class>.npy``, without folders of classes.
 

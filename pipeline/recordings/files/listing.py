@@ -17,7 +17,7 @@ from pipeline.recordings.files.class_folders import (
 from pipeline.recordings.files.members import is_ignored, list_members
 from pipeline.recordings.files.messages import shorten
 from pipeline.recordings.formats import READERS
-from pipeline.recordings.formats.camera import CONVERT_OLD, OLD_SUFFIX
+from pipeline.recordings.formats.camera import CONVERT_OLD, OLD_ENDING
 from pipeline.recordings.interpretation.class_order import CLASS_ORDER
 from pipeline.recordings.sensor import make_class_sort_key
 
@@ -25,7 +25,7 @@ LOOKUP_TABLE = "lut.mat"
 POSITIONS = "taxels.csv"
 
 # Ending of files that are recordings only if the source has no others.
-TEXT_SUFFIX = ".txt"
+TEXT_ENDING = ".txt"
 
 # Recordings of a source.
 MAX_FILES = 100_000
@@ -51,7 +51,7 @@ class Entry:
 
     @property
     def id(self) -> str:
-        """The recording's id: part, class and name without suffix and label."""
+        """The recording's id: part, class and name without ending and label."""
         stem = PurePosixPath(self.member).stem
         name = stem.rpartition(LABEL_MARK)[0] or stem
         return str(PurePosixPath(self.part, self.of_class, name))
@@ -162,8 +162,8 @@ def _separate_tables(path, files):
         member = PurePosixPath(name)
         if not is_ignored(member) and member.name.lower() != CLASS_ORDER:
             tables.get(member.name.lower(), members).append(member)
-    if any(member.suffix.lower() != TEXT_SUFFIX for member in members):
-        members = [member for member in members if member.suffix.lower() != TEXT_SUFFIX]
+    if any(member.suffix.lower() != TEXT_ENDING for member in members):
+        members = [member for member in members if member.suffix.lower() != TEXT_ENDING]
     for name, paths in tables.items():
         if len(paths) > 1:
             listed = " and ".join(map(shorten, paths[:2]))
@@ -183,9 +183,9 @@ def _find_class_order(files, class_folders):
 
 
 def _choose_format(path, members, labelled):
-    """The recordings, which have one suffix, and the other files, each with the reason."""
+    """The recordings, which have one ending, and the other files, each with the reason."""
     examples = {member.suffix.lower(): member for member in reversed(members)}
-    examples = {suffix: examples[suffix] for suffix in READERS if suffix in examples}
+    examples = {ending: examples[ending] for ending in READERS if ending in examples}
     if not examples:
         archives = [shorten(m) for m in members if m.suffix.lower() == ".zip"]
         if archives:
@@ -193,7 +193,7 @@ def _choose_format(path, members, labelled):
                 f"{path}: holds no recordings, but archives; give one of them: "
                 f"--data {path / archives[0]}"
             )
-        if any(member.suffix.lower() == OLD_SUFFIX for member in members):
+        if any(member.suffix.lower() == OLD_ENDING for member in members):
             raise UserError(f"{path}: holds no recordings that can be read; {CONVERT_OLD}")
         folders = "a folder for each class with files" if labelled else "files"
         raise UserError(
@@ -204,17 +204,17 @@ def _choose_format(path, members, labelled):
             f"{path}: holds both {' and '.join(examples)} files, such as "
             f"{' and '.join(map(shorten, examples.values()))}; keep one format"
         )
-    (suffix,) = examples
-    recordings = [member for member in members if member.suffix.lower() == suffix]
+    (ending,) = examples
+    recordings = [member for member in members if member.suffix.lower() == ending]
     if len(recordings) > MAX_FILES:
         raise UserError(
             f"{path}: holds {len(recordings):,} recordings, more than {MAX_FILES:,}; give a part "
             "of it"
         )
     others = [
-        (str(member), f"is not a recording (the others are {suffix} files); move it away")
+        (str(member), f"is not a recording (the others are {ending} files); move it away")
         for member in members
-        if member.suffix.lower() != suffix
+        if member.suffix.lower() != ending
     ]
     return recordings, others
 

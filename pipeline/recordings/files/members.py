@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from deploy.errors import UserError
 from deploy.files import open_regular
 from pipeline.recordings.formats import READERS
-from pipeline.recordings.formats.camera import CONVERT_OLD, OLD_SUFFIX
+from pipeline.recordings.formats.camera import CONVERT_OLD, OLD_ENDING
 from pipeline.recordings.formats.recording import MAX_FILE_BYTES, BadRecording, read_limited
 
 # Names of files that are ignored, in lower case.
@@ -53,7 +53,7 @@ def list_members(path: Path) -> Members:
         return _list_members_of_folder(path)
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
-    if path.suffix.lower() == OLD_SUFFIX:
+    if path.suffix.lower() == OLD_ENDING:
         raise UserError(f"{path}: cannot be read; {CONVERT_OLD}")
     if path.suffix.lower() in READERS:
         raise UserError(

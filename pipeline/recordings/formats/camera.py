@@ -23,7 +23,7 @@ from pipeline.recordings.formats.recording import (
 ENDINGS = (".aedat4", ".raw", ".dat")
 
 # The format of iniVation's cameras before .aedat4, which faery does not read either.
-OLD_SUFFIX = ".aedat"
+OLD_ENDING = ".aedat"
 
 # The remedy for it.
 CONVERT_OLD = (
