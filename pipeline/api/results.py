@@ -6,7 +6,6 @@ Each result prints as the command of the same name does: ``print(run.ladder())``
 from __future__ import annotations
 
 import html
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from deploy.preflight.plan import Plan, format_plan
 from deploy.tables import align_rows, format_count
 from pipeline.results.compare import format_runs
 from pipeline.results.ladder import format_ladder
+from pipeline.results.ladder_result import LadderResult, LadderRow
 
 # Maximum number of rows of a table in a notebook.
 MAX_TABLE_ROWS = 50
@@ -68,49 +68,18 @@ def _format_interval(bounds):
     return f"{low:.3f} to {high:.3f}"
 
 
-@dataclass(frozen=True)
-class LadderRow:
-    """A stage of the ladder.
-
-    Attributes
-    ----------
-    stage : str
-    accuracy : float
-    accuracy_ci95 : tuple of float
-        Wilson's interval.
-    change : float or None
-        Change of the accuracy from the row above.
-    disagreements : int or None
-        Number of samples with another prediction than in the row above.
-    mcnemar_p : float or None
-        The exact test of the change.
-    """
-
-    stage: str
-    accuracy: float
-    accuracy_ci95: tuple
-    change: float | None
-    disagreements: int | None
-    mcnemar_p: float | None
-
-
-def _make_ladder_row(values):
-    """A row of the ladder, of its values by their names."""
-    names = [field.name for field in fields(LadderRow)]
-    return LadderRow(*(values[name] for name in names))
-
-
 class Ladder(Result):
     """The loss ladder: ``ladder["emulator"].accuracy``.
 
     Attributes
     ----------
-    rows : list of LadderRow
+    rows : list of pipeline.results.ladder_result.LadderRow
     """
 
-    def __init__(self, values: dict):
-        super().__init__(values)
-        self.rows = [_make_ladder_row(row) for row in values["rows"]]
+    def __init__(self, result: LadderResult):
+        super().__init__(result.to_dict())
+        self._result = result
+        self.rows = result.rows
 
     def __getitem__(self, stage: str) -> LadderRow:
         for row in self.rows:
@@ -125,7 +94,7 @@ class Ladder(Result):
         return len(self.rows)
 
     def __str__(self):
-        return format_ladder(self.values)
+        return format_ladder(self._result)
 
     def format_line(self) -> str:
         """See :meth:`Result.format_line`."""

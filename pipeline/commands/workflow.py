@@ -88,5 +88,5 @@ def ladder(
 
     with options.open_requested_run(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
-    options.print_result(table, lambda ladder: "\n" + format_ladder(ladder), as_json)
+    options.print_result(table.to_dict(), lambda _: "\n" + format_ladder(table), as_json)
     options.suggest("report", run)

@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pipeline.kinds.diagnosis import find_least_faithful, format_layers
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.registry import find_compared_stage, list_trained_stages
 from pipeline.progress import progress
+from pipeline.results.ladder_result import AccuracyChange, LadderResult, LadderRow
 from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow import OpenedRun, check_stages, convert
@@ -43,7 +45,7 @@ def list_stages(kind: NetworkKind) -> list:
     return [*kind.reference_stages, *list_ladder_targets()]
 
 
-def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
+def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> LadderResult:
     """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
@@ -57,8 +59,7 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
 
     Returns
     -------
-    dict
-        See :func:`make_ladder_json`.
+    LadderResult
     """
     bundle = convert(opened)
     if not stages:
@@ -69,11 +70,13 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
     state = artifact.find_state()
     if state.is_current:
         with reporting_damage(artifact.record, DELETE_IT):
-            require_complete(state.record)
-        return state.record
+            ladder = LadderResult.from_dict(state.record)
+            require_complete(ladder)
+        return ladder
     layers = compare_layers(opened, bundle)
     classes = opened.dataset.recordings.sensor.classes
-    return artifact.write(make_ladder_json(results, layers, classes, opened.kind.remedy))
+    ladder = make_ladder(results, layers, classes, opened.kind.remedy)
+    return LadderResult.from_dict(artifact.write(ladder.to_dict()))
 
 
 def read_board_results(run: RunFolder, bundle_id: str) -> list:
@@ -89,11 +92,11 @@ def compare_layers(opened: OpenedRun, bundle: Bundle) -> list | None:
         return opened.kind.compare_layers(inputs, bundle, advance)
 
 
-def require_complete(ladder: dict):
+def require_complete(ladder: LadderResult):
     """Raise an error if a stored ladder lacks values that its texts need."""
     format_ladder(ladder)
-    if ladder["layers"]:
-        format_layers(ladder["layers"])
+    if ladder.layers:
+        format_layers(ladder.layers)
 
 
 def find_ladder_artifact(run: RunFolder, results) -> Artifact:
@@ -121,11 +124,7 @@ def make_rows(results) -> list:
 
     Returns
     -------
-    list of dict
-        A row has ``stage``, ``accuracy`` and ``accuracy_ci95`` (Wilson's interval).  Three values
-        compare it with the stage above: ``change`` of the accuracy, number of ``disagreements`` of
-        the predictions, and ``mcnemar_p`` of McNemar's exact test.  They are None in the first row
-        and in the row below ``counts``.
+    list of LadderRow
 
     Raises
     ------
@@ -134,19 +133,19 @@ def make_rows(results) -> list:
     """
     rows = []
     for above, result in itertools.pairwise([None, *results]):
-        row = {
-            "stage": result["target"],
-            "accuracy": result["accuracy"],
-            "accuracy_ci95": list(result["accuracy_ci95"]),
-            "change": None,
-            "disagreements": None,
-            "mcnemar_p": None,
-        }
+        row = LadderRow(
+            stage=result["target"],
+            accuracy=result["accuracy"],
+            accuracy_ci95=tuple(result["accuracy_ci95"]),
+        )
         if above is not None and above["target"] != "counts":
             compared = compare_results(above, result)
-            row["change"] = 0.0 - compared.accuracy_drop
-            row["disagreements"] = len(compared.disagreements)
-            row["mcnemar_p"] = compared.p_value
+            row = replace(
+                row,
+                change=0.0 - compared.accuracy_drop,
+                disagreements=len(compared.disagreements),
+                mcnemar_p=compared.p_value,
+            )
         rows.append(row)
     return rows
 
@@ -179,8 +178,8 @@ def count_confusions(labels, predictions, n_classes: int = 10) -> np.ndarray:
     return matrix
 
 
-def make_ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
-    """The ladder as plain values.
+def make_ladder(results, layers=None, classes=None, remedy: str = "") -> LadderResult:
+    """The ladder of some check results.
 
     Parameters
     ----------
@@ -200,22 +199,21 @@ def make_ladder_json(results, layers=None, classes=None, remedy: str = "") -> di
     by_stage = {result["target"]: result for result in results}
     reference = by_stage[find_compared_stage(by_stage)]
     deployed = select_deployed_result(results)
-    return {
-        "schema": "stmnist-ladder/1",
-        "bundle": first["bundle"],
-        "simulated": first["simulated"],
-        "n_samples": first["n_samples"],
-        "classes": classes,
-        "classes_without_samples": _find_classes_without_samples(classes, first),
-        "rows": make_rows(results),
-        "last_against_trained_p": _test_against_trained(results),
-        "against_reference": _compare_with_deployed(reference, deployed),
-        "against_counts": _compare_with_deployed(by_stage.get("counts"), deployed),
-        "while_written": deployed.get("while_written"),
-        "remedy": remedy,
-        "layers": layers,
-        "least_faithful_layer": find_least_faithful(layers) if layers else None,
-    }
+    return LadderResult(
+        bundle=first["bundle"],
+        simulated=first["simulated"],
+        n_samples=first["n_samples"],
+        classes=classes,
+        classes_without_samples=_find_classes_without_samples(classes, first),
+        rows=make_rows(results),
+        last_against_trained_p=_test_against_trained(results),
+        against_reference=_compare_with_deployed(reference, deployed),
+        against_counts=_compare_with_deployed(by_stage.get("counts"), deployed),
+        while_written=deployed.get("while_written"),
+        remedy=remedy,
+        layers=layers,
+        least_faithful_layer=find_least_faithful(layers) if layers else None,
+    )
 
 
 def _find_classes_without_samples(classes, result):
@@ -236,57 +234,57 @@ def _compare_with_deployed(other, deployed):
     if other is None or other is deployed:
         return None
     compared = compare_results(other, deployed)
-    return {"difference": 0.0 - compared.accuracy_drop, "mcnemar_p": compared.p_value}
+    return AccuracyChange(0.0 - compared.accuracy_drop, compared.p_value)
 
 
-def describe_early_decisions(value: dict, row: dict) -> str:
+def describe_early_decisions(value: dict, row: LadderRow) -> str:
     """Accuracy and time of early decisions, in one line.
 
     Parameters
     ----------
     value : dict
         ``while_written`` of a result.
-    row : dict
-        The ladder's row of that result.
+    row : LadderRow
+        The row of that result.
     """
     early = value["by_itself"]
     if early["confidence"] >= 1:
-        return f"{row['stage']}: decides at the end of each recording, not earlier"
+        return f"{row.stage}: decides at the end of each recording, not earlier"
     return (
-        f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
+        f"{row.stage}: early decision at a confidence of {early['confidence']:.4f}, after "
         f"{early['share_of_writing_mean']:.0%} of the recording on average: "
         f"accuracy {early['accuracy']:.3f}, "
-        + format_points(100 * (early["accuracy"] - row["accuracy"]))
+        + format_points(100 * (early["accuracy"] - row.accuracy))
     )
 
 
-def find_losing_stages(ladder: dict) -> list:
+def find_losing_stages(ladder: LadderResult) -> list:
     """Find the stages that lose more than :data:`MAX_LOSS_POINTS` points, as (from, to, points).
 
     Stages from the trained network on (the rate-based network, or the one trained on events) are
     compared with the stage above, and the last one also with the trained network.  Losses that are
     not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) do not count.
     """
-    stages = [row["stage"] for row in ladder["rows"]]
+    stages = [row.stage for row in ladder.rows]
     trained = next(
         (index for index, name in enumerate(stages) if name in list_trained_stages()), None
     )
     if trained is None:
         return []
-    rows = ladder["rows"][trained:]
-    pairs = [(a, b, b["mcnemar_p"]) for a, b in itertools.pairwise(rows)]
+    rows = ladder.rows[trained:]
+    pairs = [(a, b, b.mcnemar_p) for a, b in itertools.pairwise(rows)]
     if len(rows) > 2:
-        pairs.append((rows[0], rows[-1], ladder.get("last_against_trained_p", 0.0)))
+        pairs.append((rows[0], rows[-1], ladder.last_against_trained_p))
     drops = [
-        (a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"]))
+        (a.stage, b.stage, 100 * (a.accuracy - b.accuracy))
         for a, b, p_value in pairs
-        if p_value < SIGNIFICANCE
+        if p_value is not None and p_value < SIGNIFICANCE
     ]
     return [(a, b, points) for a, b, points in drops if points > MAX_LOSS_POINTS + 1e-9]
 
 
-def format_ladder(ladder: dict) -> str:
-    """The ladder of :func:`make_ladder_json` as a table; with the layers if a stage loses much."""
+def format_ladder(ladder: LadderResult) -> str:
+    """The ladder as a table; with the layers if a stage loses much."""
     return "\n".join(
         [
             *_format_table(ladder),
@@ -299,24 +297,24 @@ def format_ladder(ladder: dict) -> str:
 
 
 def _format_table(ladder):
-    samples = "simulated samples" if ladder["simulated"] else "samples"
+    samples = "simulated samples" if ladder.simulated else "samples"
     headings = ["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]
     return [
-        f"Loss ladder, {ladder['n_samples']} {samples}, the same for each stage",
-        *align_rows([headings, *map(_make_cells, ladder["rows"])]),
+        f"Loss ladder, {ladder.n_samples} {samples}, the same for each stage",
+        *align_rows([headings, *map(_make_cells, ladder.rows)]),
     ]
 
 
 def _describe_changes(ladder):
     """Lines about the change from a reference to the last stage, one for each reference."""
-    stages = [row["stage"] for row in ladder["rows"]]
+    stages = [row.stage for row in ladder.rows]
     changes = {
-        find_compared_stage(stages): ladder["against_reference"],
-        "counts": ladder["against_counts"],
+        find_compared_stage(stages): ladder.against_reference,
+        "counts": ladder.against_counts,
     }
     return [
-        f"from {stage} to {stages[-1]}: {format_points(100 * change['difference'])}, "
-        f"p {format_p(change['mcnemar_p'])}"
+        f"from {stage} to {stages[-1]}: {format_points(100 * change.difference)}, "
+        f"p {format_p(change.mcnemar_p)}"
         for stage, change in changes.items()
         if change is not None
     ]
@@ -324,16 +322,16 @@ def _describe_changes(ladder):
 
 def _describe_notes(ladder):
     """Lines about what the table means, and what it says nothing about."""
-    rows = ladder["rows"]
+    rows = ladder.rows
     lines = []
     if any(_is_significant(row) for row in rows):
         lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
-    for stage in (row["stage"] for row in rows):
+    for stage in (row.stage for row in rows):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
-    if ladder.get("while_written"):
-        lines.append(describe_early_decisions(ladder["while_written"], rows[-1]))
-    if absent := ladder.get("classes_without_samples"):
+    if ladder.while_written:
+        lines.append(describe_early_decisions(ladder.while_written, rows[-1]))
+    if absent := ladder.classes_without_samples:
         lines.append(
             f"{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
         )
@@ -346,38 +344,38 @@ def _describe_losses(ladder):
         f"{WARNING}{stage} is {points:.1f} points below {above}{STREAM_REMEDY.get(stage, '')}"
         for above, stage, points in find_losing_stages(ladder)
     ]
-    if lines and ladder["layers"]:
-        lines += ["", format_layers(ladder["layers"])]
+    if lines and ladder.layers:
+        lines += ["", format_layers(ladder.layers)]
     return lines
 
 
 def _compare_with_baseline(ladder):
     """A warning if the deployed network is less accurate than ``counts``, the simplest baseline."""
-    change = ladder["against_counts"]
-    if not change or change["difference"] >= 0 or change["mcnemar_p"] >= SIGNIFICANCE:
+    change = ladder.against_counts
+    if not change or change.difference >= 0 or change.mcnemar_p >= SIGNIFICANCE:
         return []
     return [
-        f"{WARNING}{ladder['rows'][-1]['stage']} is less accurate than the logistic regression on "
-        f"event counts; try {ladder.get('remedy') or 'more epochs'}"
+        f"{WARNING}{ladder.rows[-1].stage} is less accurate than the logistic regression on "
+        f"event counts; try {ladder.remedy or 'more epochs'}"
     ]
 
 
 def _is_significant(row):
-    return row["mcnemar_p"] is not None and row["mcnemar_p"] < SIGNIFICANCE
+    return row.mcnemar_p is not None and row.mcnemar_p < SIGNIFICANCE
 
 
-def _make_cells(row: dict) -> list:
+def _make_cells(row: LadderRow) -> list:
     """The cells of a stage in the table."""
-    low, high = row["accuracy_ci95"]
-    cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
-    if row["change"] is None:
+    low, high = row.accuracy_ci95
+    cells = [row.stage, f"{row.accuracy:.3f}", f"{low:.3f} to {high:.3f}"]
+    if row.change is None or row.mcnemar_p is None:
         return [*cells, "", "", "", ""]
     return [
         *cells,
-        f"{round(row['change'], 3) + 0.0:+.3f}",  # no change is +0.000
-        str(row["disagreements"]),
-        format_p(row["mcnemar_p"]),
-        mark_significance(row["mcnemar_p"]),
+        f"{round(row.change, 3) + 0.0:+.3f}",  # no change is +0.000
+        str(row.disagreements),
+        format_p(row.mcnemar_p),
+        mark_significance(row.mcnemar_p),
     ]
 
 

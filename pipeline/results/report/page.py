@@ -275,11 +275,16 @@ def make_layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) ->
 
 def _make_ladder(results):
     rows = make_rows(results)
-    lowest = np.floor(min(row["accuracy_ci95"][0] for row in rows) * 20) / 20
-    for row in rows:
-        row["title"] = find_title(row["stage"])
-        row["chart"] = charts.draw_interval(row["accuracy"], *row["accuracy_ci95"], lowest)
-    return {"rows": rows, "least": float(lowest), "n": results[0]["n_samples"]}
+    lowest = np.floor(min(row.accuracy_ci95[0] for row in rows) * 20) / 20
+    drawn = [
+        {
+            **row.to_dict(),
+            "title": find_title(row.stage),
+            "chart": charts.draw_interval(row.accuracy, *row.accuracy_ci95, lowest),
+        }
+        for row in rows
+    ]
+    return {"rows": drawn, "least": float(lowest), "n": results[0]["n_samples"]}
 
 
 def _draw_over_time(inputs):

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from pipeline.results.ladder import (
     find_losing_stages,
     format_ladder,
     format_points,
-    make_ladder_json,
+    make_ladder,
     make_rows,
 )
 from tests.command import call, missing
@@ -42,18 +43,18 @@ EMULATOR = result("emulator", [0, 1, 2, 3, 4, 5, 0, 0, 8, 1])  # 7 right, 1 diff
 
 def test_the_ladder_by_hand():
     first, second, third = make_rows([CNN, RATE, EMULATOR])
-    assert (first["stage"], first["accuracy"]) == ("cnn", 0.9)
-    assert (first["change"], first["disagreements"], first["mcnemar_p"]) == (None, None, None)
-    assert second["change"] == pytest.approx(-0.3)
-    assert second["disagreements"] == 4
-    assert second["mcnemar_p"] == pytest.approx(2 * 0.5**3)
-    assert third["change"] == pytest.approx(0.1)
-    assert third["disagreements"] == 1
-    assert third["mcnemar_p"] == 1
+    assert (first.stage, first.accuracy) == ("cnn", 0.9)
+    assert (first.change, first.disagreements, first.mcnemar_p) == (None, None, None)
+    assert second.change == pytest.approx(-0.3)
+    assert second.disagreements == 4
+    assert second.mcnemar_p == pytest.approx(2 * 0.5**3)
+    assert third.change == pytest.approx(0.1)
+    assert third.disagreements == 1
+    assert third.mcnemar_p == 1
 
 
 def test_a_loss_is_negative():
-    text = format_ladder(make_ladder_json([RATE, EMULATOR]))
+    text = format_ladder(make_ladder([RATE, EMULATOR]))
     assert missing(text.splitlines()[-1], "rate-lif", "emulator", "+10.0 points") == []
     assert format_points(-0.04) == "+0.0 points"
     assert format_points(-0.5) == "-0.5 points"
@@ -76,22 +77,22 @@ LAYERS = [layer("conv1", 0.99), layer("conv2", 0.87), layer("conv3", 0.95)]
 
 def beyond_chance(ladder):
     """As if there were many samples more of the same."""
-    for row in ladder["rows"][1:]:
-        row["mcnemar_p"] = 0.01
-    return {**ladder, "last_against_trained_p": 0.01}
+    first, *others = ladder.rows
+    rows = [first, *(replace(row, mcnemar_p=0.01) for row in others)]
+    return replace(ladder, rows=rows, last_against_trained_p=0.01)
 
 
 def test_a_loss_that_chance_explains_is_no_warning():
-    ladder = make_ladder_json([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
-    assert ladder["last_against_trained_p"] == pytest.approx(0.25)
+    ladder = make_ladder([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
+    assert ladder.last_against_trained_p == pytest.approx(0.25)
     assert find_losing_stages(ladder) == []
     assert "loses" not in format_ladder(ladder)
 
 
 def test_a_stage_that_loses_too_much_brings_the_layers():
     better = result("rate-lif", LABELS)
-    ladder = beyond_chance(make_ladder_json([CNN, better, EMULATOR], LAYERS))
-    assert ladder["least_faithful_layer"] == "conv2"
+    ladder = beyond_chance(make_ladder([CNN, better, EMULATOR], LAYERS))
+    assert ladder.least_faithful_layer == "conv2"
     assert find_losing_stages(ladder) == [("rate-lif", "emulator", pytest.approx(30))]
     text = format_ladder(ladder)
     assert re.search(r"emulator .*\b30\.0 points .*rate-lif", text)
@@ -105,13 +106,13 @@ def test_losses_are_stated_against_the_matched_cnn():
         of_eighty("cnn-matched", 72),
         of_eighty("emulator", 70),
     )
-    text = format_ladder(make_ladder_json([of_eighty("counts", 50), cnn, matched, last]))
+    text = format_ladder(make_ladder([of_eighty("counts", 50), cnn, matched, last]))
     assert "from cnn-matched to emulator: -2.5 points" in text
     assert "from counts to emulator: +25.0 points" in text
 
 
 def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
-    assert find_losing_stages(make_ladder_json([CNN, RATE])) == []
+    assert find_losing_stages(make_ladder([CNN, RATE])) == []
 
 
 def of_eighty(target, right):
@@ -128,18 +129,18 @@ def of_eighty(target, right):
 
 def test_the_deployed_network_is_compared_with_the_simplest_classifier():
     cnn, worse, better = of_eighty("cnn", 70), of_eighty("emulator", 54), of_eighty("emulator", 70)
-    ladder = make_ladder_json([of_eighty("counts", 60), cnn, worse])
-    assert ladder["against_counts"]["difference"] == pytest.approx(-6 / 80)
-    assert ladder["against_counts"]["mcnemar_p"] == pytest.approx(2 * 0.5**6)
+    ladder = make_ladder([of_eighty("counts", 60), cnn, worse])
+    assert ladder.against_counts.difference == pytest.approx(-6 / 80)
+    assert ladder.against_counts.mcnemar_p == pytest.approx(2 * 0.5**6)
     lines = format_ladder(ladder).splitlines()
     assert missing(lines[-1], "emulator", "event counts", "try") == []
     assert any("from cnn to emulator: -20.0 points" in line for line in lines)
-    text = format_ladder(make_ladder_json([of_eighty("counts", 60), cnn, better]))
+    text = format_ladder(make_ladder([of_eighty("counts", 60), cnn, better]))
     assert "try" not in text
     assert "from counts to emulator: +12.5 points" in text
-    chance = make_ladder_json([of_eighty("counts", 58), cnn, worse])
+    chance = make_ladder([of_eighty("counts", 58), cnn, worse])
     assert "try" not in format_ladder(chance)  # four samples are no evidence
-    assert make_ladder_json([cnn, worse])["against_counts"] is None
+    assert make_ladder([cnn, worse]).against_counts is None
 
 
 def test_the_emulators_answers_are_the_fast_targets(tiny_run, tmp_path):
