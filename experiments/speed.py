@@ -91,7 +91,7 @@ def measure_on_bundle(bundle, samples: int | None = None) -> dict:
         "samples_per_second": [float(np.median(reference)), float(np.median(fast))],
         "n_samples": len(inputs),
         "turns": len(stream_slices),
-        "simulated": spec.provenance.get("simulated"),
+        "simulated": spec.provenance.simulated,
     }
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from deploy.network.geometry import compute_pooled_shape
 from deploy.network.layer import Layer, Neurons
 from deploy.network.presentation import Presentation
+from deploy.network.provenance import NetworkProvenance
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture
@@ -278,7 +279,7 @@ def build_network_spec(
         stimulus=stimulus,
         layers=tuple(make_layer(link) for link in chain),
         presentation=presentation,
-        provenance=provenance or {},
+        provenance=NetworkProvenance(provenance or {}),
         estimator=estimator,
     )
 

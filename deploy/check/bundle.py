@@ -124,7 +124,7 @@ class Bundle:
     @property
     def seed(self):
         """Seed of the run that made the bundle, not validated; its targets run with it."""
-        return self.spec.provenance.get("seed", 0)
+        return self.spec.provenance.seed
 
 
 def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:

@@ -82,7 +82,7 @@ def make_result(bundle, target, seed, samples, wall_seconds, extra=None) -> dict
         "target": target,
         "bundle": bundle.id,
         "seed": seed,
-        "simulated": bundle.spec.provenance.get("simulated"),
+        "simulated": bundle.spec.provenance.simulated,
         "steps_per_sample": presentation.steps,
         "n_samples": len(samples),
         "classes_without_samples": _find_classes_without_samples(bundle.spec, labels),

@@ -18,6 +18,7 @@ from .chip import DT
 from .decision import Estimator
 from .layer import SHAPE, Layer, require
 from .presentation import Presentation
+from .provenance import NetworkProvenance
 from .rehearsal import Rehearsal
 from .stimulus import STIMULI, Stimulus
 
@@ -37,7 +38,7 @@ class NetworkSpec:
     layers : tuple of Layer
         In order; the last one is the readout.
     presentation : Presentation
-    provenance : dict
+    provenance : NetworkProvenance
         Source of the network: data set, seed, recipe, package version.
     estimator : Estimator or None
         Confidence estimator of the outputs; None for their softmax.
@@ -50,13 +51,14 @@ class NetworkSpec:
     stimulus: Stimulus
     layers: Tuple[Layer, ...]
     presentation: Presentation
-    provenance: dict = field(default_factory=dict)
+    provenance: NetworkProvenance = field(default_factory=NetworkProvenance)
     estimator: Optional[Estimator] = field(default=None, repr=False, compare=False)
     rehearsal: Optional[Rehearsal] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
         object.__setattr__(self, "layers", tuple(self.layers))
+        object.__setattr__(self, "provenance", NetworkProvenance(self.provenance))
         require(SHAPE.holds(self.input_shape), "network", f"input_shape is not {SHAPE.expected}")
         require(1 <= len(self.layers) <= limits.LAYERS, "network", "has no layers, or too many")
         names = [layer.name for layer in self.layers]
@@ -181,7 +183,7 @@ class NetworkSpec:
                 stimulus=_read_stimulus(value["stimulus"]),
                 layers=tuple(layers),
                 presentation=load_dataclass(Presentation, value["presentation"], "presentation"),
-                provenance=dict(value.get("provenance", {})),
+                provenance=NetworkProvenance(value.get("provenance", {})),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
             inputs = layers[-1].weights_by_class.shape[1]

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..check.bundle import Bundle, read_bundle
 from ..errors import UserError
+from ..network.provenance import read_classes
 from ..network.stimulus import EventFrames
 from ..targets.emulation import Emulation
 from ..terminal import format_command
@@ -101,9 +102,8 @@ class Stream:
         self._unit = unit
         self._tick_ns = UNIT_NS[unit]
         self._steps = TouchSteps(spec, longest)
-        has_off = spec.provenance.get("polarities", 2) == 2
-        names = spec.provenance.get("classes") or range(spec.layers[-1].size)
-        self.classes = tuple(map(str, names))
+        has_off = spec.provenance.polarities == 2
+        self.classes = read_classes(spec)
         self._silence_ns = 1e9 * self.silence
         self._faults = Faults()
         self._clock = SensorClock(self._silence_ns, self._faults)

@@ -160,7 +160,7 @@ def _require_data(others):
 
 def _count_samples_of_fit(spec):
     """Number of the check's samples that an adapted network was fitted to."""
-    adapted = spec.provenance.get("adapted")
+    adapted = spec.provenance.adapted
     number = adapted.get("in_check") if isinstance(adapted, dict) else None
     return number if type(number) is int else 0
 

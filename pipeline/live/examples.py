@@ -140,7 +140,7 @@ def list_recorded_examples(run: RunFolder, bundle: Bundle) -> list:
     """
     settings = read_settings(run.experiment)
     recordings = load_named_recordings(settings)
-    if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
+    if recordings.source.sha256 != bundle.spec.provenance.source_sha256:
         raise UserError(f"{settings.data.source}: has changed since the network was trained")
     index = {name: i for i, name in enumerate(recordings.ids)}
     indices = [index[name] for name in bundle.checks.ids if name in index]

@@ -31,7 +31,7 @@ def find_sensor(bundle: Bundle) -> Sensor:
             "on images, or on ON and OFF events"
         )
     rows, columns, _ = spec.input_shape
-    polarities = 1 if spec.provenance.get("polarities") == 1 else 2
+    polarities = 1 if spec.provenance.polarities == 1 else 2
     return Sensor(rows, columns, polarities, classes=read_classes(spec))
 
 
@@ -71,7 +71,7 @@ def describe_for_page(bundle: Bundle, sensor: Sensor, folder, outdated: str | No
         "architecture": bundle.spec.architecture,
         "outdated": outdated,
         "trained_on": find_name(bundle),
-        "simulated": bool(bundle.spec.provenance.get("simulated", False)),
+        "simulated": bool(bundle.spec.provenance.simulated),
         "rows": sensor.rows,
         "columns": sensor.columns,
         "polarities": sensor.polarities,

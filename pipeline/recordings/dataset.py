@@ -347,7 +347,7 @@ def make_inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | No
             np.arange(len(table)), step_ms, steps, SpikeLimits.from_input(stimulus)
         )
         return np.moveaxis(frames, 0, 1)
-    if (recorded := spec.provenance.get("image")) is not None:
+    if (recorded := spec.provenance.image) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image
     return make_tactile_images(recordings, image)
 

@@ -169,7 +169,7 @@ def _find_different_settings(runs):
     by_run = [list_network_settings(run.spec) for run in runs]
     names = dict.fromkeys(name for settings in by_run for name in settings)
     different = []
-    contents = {run.spec.provenance.get("source_sha256") for run in runs}
+    contents = {run.spec.provenance.source_sha256 for run in runs}
     sources = [run.settings.data.source for run in runs]
     if len(contents) > 1 and {*sources} != {SIMULATED}:  # not the same ones in another place
         different.append({"name": "data.source", "values": sources})
@@ -210,7 +210,7 @@ def compute_inference(run: ComparedRun) -> dict:
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
         "input_shape": list(spec.input_shape),
-        "simulated": spec.provenance.get("simulated"),
+        "simulated": spec.provenance.simulated,
         "classes": list(read_classes(spec)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
         "cores": run.cores,
@@ -274,7 +274,7 @@ def compare_accuracies(a: ComparedRun, b: ComparedRun, stage: str) -> dict | Non
         return None
     first = a.results[stage]
     second = b.results[stage]
-    sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
+    sources = [run.spec.provenance.source_sha256 for run in (a, b)]
     same_source = None in sources or sources[0] == sources[1]
     paired = same_source and _map_labels(first) == _map_labels(second)
     value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}

@@ -87,7 +87,7 @@ def read_board_results(run: RunFolder, bundle_id: str) -> list:
 
 def compare_layers(opened: OpenedRun, bundle: Bundle) -> list | None:
     """Compare firing rates with activations; see :meth:`NetworkKind.compare_layers`."""
-    inputs = opened.make_step_inputs(bundle.spec.provenance["made_from"]["settings"])
+    inputs = opened.make_step_inputs(bundle.spec.provenance.settings)
     with progress("compare layers", len(bundle.checks)) as advance:
         return opened.kind.compare_layers(inputs, bundle, advance)
 

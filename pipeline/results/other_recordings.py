@@ -108,7 +108,7 @@ def read_recordings_for(
     data = settings.data
     recorded = bundle.spec.provenance
     # Files without a unit have that of the training, also if a person writes much faster.
-    usual_unit = recorded.get("time_unit")
+    usual_unit = recorded.time_unit
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
     reading = ReadingOptions(
         rows,
@@ -239,7 +239,7 @@ def _describe_limits(spec, recordings):
     """Lines on what the network does not see, or never saw in its training."""
     events = recordings.events
     taxels = recordings.taxels
-    units = [recordings.source.time_unit, spec.provenance.get("time_unit")]
+    units = [recordings.source.time_unit, spec.provenance.time_unit]
     if all(units) and units[0] != units[1]:
         read_unit, usual_unit = (UNIT_NAMES[unit] for unit in units)
         yield (
@@ -259,7 +259,7 @@ def _describe_limits(spec, recordings):
             "if these are recordings of a smaller sensor, the network is not for them"
         )
     has_off = bool((events.polarity < 0).any())
-    if has_off != (spec.provenance.get("polarities", 2) == 2):
+    if has_off != (spec.provenance.polarities == 2):
         yield f"there are {'' if has_off else 'no '}OFF events, unlike in those of the training"
     if isinstance(spec.stimulus, EventFrames):
         step_ms = 1000 * spec.stimulus.step_seconds

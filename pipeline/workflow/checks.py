@@ -69,8 +69,8 @@ def _check_reference(opened, bundle, stage) -> dict:
     origin = opened.find_artifact(reference.step).origin
     if not is_deployed:
         extra["network"] = origin.key
-    made_from = bundle.spec.provenance["made_from"]
-    inputs = opened.make_step_inputs(made_from["settings"].keys() | origin.settings.keys())
+    settings = bundle.spec.provenance.settings
+    inputs = opened.make_step_inputs(settings.keys() | origin.settings.keys())
     begun = time.perf_counter()
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         responses = reference.respond_to(stage, inputs, bundle, advance)

@@ -89,7 +89,7 @@ def list_network_settings(spec: NetworkSpec) -> dict:
 
     Settings that have no effect on it are not among them.
     """
-    settings = spec.provenance["made_from"]["settings"]
+    settings = spec.provenance.settings
     # A run whose steps are the default, 0, may have as many as one with a number.
     steps = settings.get("presentation.steps") or spec.presentation.steps
     return {**settings, "presentation.steps": steps}

@@ -139,7 +139,7 @@ def render(inputs: ReportData, now: datetime.datetime | None = None) -> str:
 
 def _list_warnings(provenance, result):
     """What is wrong with the recordings, and the classes that the check has no samples of."""
-    lines = list(provenance.get("warnings", []))
+    lines = list(provenance.warnings)
     if absent := result.get("classes_without_samples"):
         names = list_names(absent)
         lines.append(f"no samples of {names}; no accuracy on this page says anything about them")

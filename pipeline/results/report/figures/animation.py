@@ -125,7 +125,7 @@ class _Animation:
         sensor_figure, time_figure = figure.subfigures(1, 2, width_ratios=[1, 2.2])
         axes = sensor_figure.subplots(2, 1, height_ratios=[1.6, 1])
         panels = time_figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        remark = "simulated " if self._spec.provenance.get("simulated") else ""
+        remark = "simulated " if self._spec.provenance.simulated else ""
         title = f"{remark}sample {name}, class {self._classes[self._label]}"
         time_figure.suptitle(title, ha="center")
         return axes, panels
