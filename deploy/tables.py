@@ -17,7 +17,7 @@ def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     left : int
         Number of columns that are flush left; the others are flush right.
     """
-    rows = [[escape_control(cell) for cell in row] for row in rows]
+    rows = [list(map(escape_control, row)) for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows)]
     lines = []
     for row in rows:

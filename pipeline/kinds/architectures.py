@@ -142,7 +142,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
             link,
             kernel=rng.uniform(0.5, 1.0, link.kernel.shape),
             neurons=None if on_host and link is links[-1] else Neurons(0.01),
-            synapse=deployment.synapse or None,
+            synapse=deployment.synapse_s or None,
         )
         for link in links
     ]

@@ -61,13 +61,13 @@ def choose_presentation(
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
         return []  # as long as the published recordings: the default fits
     longest_ms = float(recordings.table.duration_ms.max(initial=0))
-    step_ms = settings.input.step
+    step_ms = settings.input.step_ms
     if settings.is_open("input.step") and settings.is_open("input.refractory"):
         step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)
     steps = min(max(math.floor(longest_ms / step_ms) + 1, MIN_STEPS), MAX_STEPS)
     reason = _describe_reason(steps, step_ms, longest_ms)
     choices = [Choice("presentation.steps", steps, f"{steps} steps of {step_ms:g} ms: {reason}")]
-    if step_ms != settings.input.step:
+    if step_ms != settings.input.step_ms:
         choices.append(Choice("input.step", step_ms))
         choices.append(Choice("input.refractory", step_ms))
     return choices
@@ -125,7 +125,7 @@ def choose_time_constants(settings: Settings) -> list[Choice]:
     choices = []
     currents_ms = settings.events.tau_u_ms
     voltages_ms = settings.events.tau_v_ms
-    presented_ms = settings.steps * settings.input.step
+    presented_ms = settings.steps * settings.input.step_ms
     are_open = settings.is_open("events.tau_u_ms") and settings.is_open("events.tau_v_ms")
     if presented_ms < FULL_TIME_CONSTANTS_MS and are_open:
         currents_ms = shorten(currents_ms, presented_ms)
@@ -138,7 +138,7 @@ def choose_time_constants(settings: Settings) -> list[Choice]:
         choices.append(Choice("events.tau_u_ms", currents_ms, reason))
         choices.append(Choice("events.tau_v_ms", voltages_ms))
     if settings.is_open("presentation.gap"):
-        gap = count_silent_steps(MAX_GROWTH * max(currents_ms) / settings.input.step)
+        gap = count_silent_steps(MAX_GROWTH * max(currents_ms) / settings.input.step_ms)
         if gap > settings.presentation.gap:
             reason = (
                 f"gap of {gap} silent steps before each sample: then the currents that are left of "
@@ -169,7 +169,7 @@ def choose_image_gap(settings: Settings) -> tuple:
     reason : str
     """
     presentation = settings.presentation
-    tau = settings.deployment.synapse / LOIHI.dt
+    tau = settings.deployment.synapse_s / LOIHI.dt
     gap = count_silent_steps(tau, MAX_SHARE_LEFT_OF_IMAGE) if tau else 0
     is_open = settings.is_open("presentation.gap")
     if not is_open or presentation.stream_length == 1 or gap <= presentation.gap:

@@ -42,7 +42,7 @@ def make_reading_options(settings: Settings) -> ReadingOptions:
         settings.skin.columns,
         time_unit=data.time_unit,
         downsample=data.downsample,
-        bin_ms=data.bin,
+        bin_ms=data.bin_ms,
         rise=data.rise,
     )
 

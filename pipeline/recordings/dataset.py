@@ -265,7 +265,7 @@ class FramesOnDemand:
 
     def __init__(self, recordings: Recordings, settings: Settings):
         self._table = recordings.table
-        self._step_ms = settings.input.step
+        self._step_ms = settings.input.step_ms
         self._limits = SpikeLimits.from_input(settings.input)
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
         self.dtype = np.dtype(np.uint8)
@@ -361,7 +361,7 @@ def list_event_warnings(settings: Settings, recordings: Recordings) -> list:
         No recording has an event.
     """
     table = recordings.table
-    step = settings.input.step
+    step = settings.input.step_ms
     steps = settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):

@@ -116,7 +116,7 @@ def read_recordings_for(
         time_unit=data.time_unit,
         downsample=downsample,
         usual_unit=usual_unit if usual_unit in UNITS else "",
-        bin_ms=recorded.get("bin_ms", data.bin),
+        bin_ms=recorded.get("bin_ms", data.bin_ms),
         rise=recorded.get("rise", data.rise),
         labelled=labelled,
     )

@@ -95,6 +95,11 @@ class Data(SettingsGroup):
     #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
     downsample: Annotated[int, between(1, MAX_DOWNSAMPLING)] = 1
 
+    @property
+    def bin_ms(self) -> float:
+        """``bin``, the width of a bin of counts."""
+        return self.bin
+
 
 @dataclass(frozen=True)
 class Input(SettingsGroup):
@@ -115,9 +120,19 @@ class Input(SettingsGroup):
     max_spikes: Annotated[int, STEPS_OR_0] = 0
 
     @property
+    def step_ms(self) -> float:
+        """``step``, the recording time of a step."""
+        return self.step
+
+    @property
+    def refractory_ms(self) -> float:
+        """``refractory``, the refractory period of a taxel and polarity."""
+        return self.refractory
+
+    @property
     def refractory_steps(self) -> int:
         """The refractory period in steps."""
-        return int(self.refractory / self.step + 1e-9)
+        return int(self.refractory_ms / self.step_ms + 1e-9)
 
 
 @dataclass(frozen=True)
@@ -271,6 +286,11 @@ class NIR(SettingsGroup):
     #: bits of one; 0: two if the layer then fits on a core, otherwise one.
     synapses_per_weight: Annotated[int, between(0, limits.SYNAPSES_PER_WEIGHT)] = automatic(0)
 
+    @property
+    def step_ms(self) -> float:
+        """``step``, the graph's time in a step; 0 for that of its framework."""
+        return self.step
+
 
 @dataclass(frozen=True)
 class EventTraining(SettingsGroup):
@@ -315,6 +335,11 @@ class EventTraining(SettingsGroup):
     #: multiply-accumulates of the paper's CNN.
     budget: Annotated[float, ABOVE_0] = 0.8
 
+    @property
+    def section_ms(self) -> float:
+        """``part``, the length of a section of the readout; 0 for the presentation's share."""
+        return self.part
+
 
 @dataclass(frozen=True)
 class Deployment(SettingsGroup):
@@ -330,6 +355,16 @@ class Deployment(SettingsGroup):
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
     #: Time constant in seconds of the low-pass on every spiking connection; 0 for none.
     synapse: Annotated[float, TAU_S_OR_NONE] = 0.008
+
+    @property
+    def input_rate_hz(self) -> float:
+        """``input_rate``, the spike rate of a pixel of value 1."""
+        return self.input_rate
+
+    @property
+    def synapse_s(self) -> float:
+        """``synapse``, the time constant of every spiking connection; 0 for none."""
+        return self.synapse
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ class Settings(SettingsGroup):
         if self.on_events:
             inputs = self.input
             return EventFrames(inputs.step / 1000, inputs.refractory_steps, inputs.max_spikes)
-        return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
+        return ImageSpikes(self.deployment.input_rate_hz, self.deployment.input_phase)
 
     @property
     def steps(self) -> int:
@@ -187,7 +187,7 @@ class Settings(SettingsGroup):
             return self.presentation.steps
         if not self.on_events:
             return Presentation.steps
-        return min(round(1000 * paper.DURATION_S / self.input.step), limits.STEPS)
+        return min(round(1000 * paper.DURATION_S / self.input.step_ms), limits.STEPS)
 
     @property
     def section_starts(self) -> tuple:
@@ -195,7 +195,9 @@ class Settings(SettingsGroup):
         if self.nir.file:
             return (0,)
         sections = self.events.parts or 1
-        section = (self.events.part or 1000 * paper.DURATION_S / sections) / self.input.step
+        section = (
+            self.events.section_ms or 1000 * paper.DURATION_S / sections
+        ) / self.input.step_ms
         return tuple(sorted({round(k * section) for k in range(sections)}))
 
     @property

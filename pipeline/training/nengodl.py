@@ -114,7 +114,7 @@ def run(
     ndarray, shape (n_samples, steps, outputs)
         Logits at each step, including the readout's bias.
     """
-    synapse = settings.deployment.synapse or None
+    synapse = settings.deployment.synapse_s or None
     network = _convert(settings, weights, nengo.LIF, synapse)
     return _run_in_batches(network, images, n_steps, batch, advance)
 

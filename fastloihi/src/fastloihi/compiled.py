@@ -36,7 +36,7 @@ CURRENT, VOLTAGE, INPUT, BIAS, THRESHOLD = range(5)  # rows of `cells`
 WAITING, COUNT = range(2)  # rows of `counters`
 START, STOP, REFRACTORY = range(3)  # columns of `segments`
 KEEP_U, KEEP_V, SCALE_U, SCALE_V, V_MIN, V_MAX = range(6)  # columns of `constants`
-SHIFT, WIDE, FIRST_SEGMENT, LAST_SEGMENT = 2, 3, 4, 5  # columns of `blocks`, after START and STOP
+SHIFT, WIDE, FIRST_SEGMENT, LAST_SEGMENT = range(2, 6)  # columns of `blocks`, after START and STOP
 SOURCE, OFFSET, BLOCK, IS_WIDE, LARGEST, RULE = range(6)  # columns of `routes`
 ROW, TARGET, AXON = range(3)  # rows of `entries`
 

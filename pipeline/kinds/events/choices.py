@@ -97,7 +97,7 @@ class EventChoices:
         if self.is_usual or not settings.is_open("input.step"):
             return
         bin_ms = compute_bin_ms(self.table)
-        if bin_ms is None or bin_ms <= settings.input.step:
+        if bin_ms is None or bin_ms <= settings.input.step_ms:
             return
         step_ms = choose_step_ms(self.longest_ms, bin_ms, may_shorten=False)
         reason = (
@@ -113,7 +113,7 @@ class EventChoices:
         is_binned = any(choice.setting == "input.step" for choice in self.choices)
         if is_binned and not choices and not settings.presentation.steps:
             # The spikes of the last bin need some steps to reach the readout.
-            n_steps = math.floor(self.longest_ms / settings.input.step) + 1 + TAIL_STEPS
+            n_steps = math.floor(self.longest_ms / settings.input.step_ms) + 1 + TAIL_STEPS
             choices = [Choice("presentation.steps", max(n_steps, settings.steps))]
         self.choices += choices
         self.choices += choose_time_constants(self.presented)
@@ -182,7 +182,7 @@ class EventChoices:
         """The refractory period, and the sections of the readout."""
         settings = self.settings
         presented = self.presented
-        step_ms = presented.input.step
+        step_ms = presented.input.step_ms
         sections = settings.events.parts
         is_open = settings.is_open("input.refractory")
         reason = ""
@@ -193,7 +193,7 @@ class EventChoices:
         if is_open:
             self._choose("input.refractory", chosen_input.refractory_steps * step_ms, reason)
             reason = ""
-        section_ms = settings.events.part or presented.steps * step_ms / sections
+        section_ms = settings.events.section_ms or presented.steps * step_ms / sections
         self._choose("events.parts", sections, reason)
         self._choose("events.part", section_ms)
         if settings.is_open("input.max_spikes"):
@@ -213,7 +213,7 @@ class EventChoices:
         self._choose("input.max_spikes", max_spikes, reason)
 
     def _estimate_input(self, presented):
-        step_ms = presented.input.step
+        step_ms = presented.input.step_ms
         labels = self.recordings.labels
         chosen_input = choose_input(self.table, labels, self.train, step_ms, presented.steps)
         if self.settings.is_open("input.refractory"):

@@ -42,7 +42,7 @@ def make_image_spec(
 ) -> NetworkSpec:
     """As :func:`make_network_spec`, with :func:`models.chain.from_rates`'s ``training_logits``."""
     architecture = parse(settings.cnn.architecture)
-    synapse = settings.deployment.synapse
+    synapse = settings.deployment.synapse_s
     links = chain.from_rates(architecture, weights, settings.snn, synapse, training_logits)
     provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
     return chain.build_network_spec(

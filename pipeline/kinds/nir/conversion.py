@@ -56,7 +56,7 @@ def list_conversion_notes(
         f"read as {convention.framework}, by {convention.evidence}: {record['equation']}; a step "
         f"is {1000 * stepping.step_s:g} ms of the graph's time, reset: {stepping.reset}"
     )
-    is_as_recognised = (settings.nir.step, settings.nir.method) == (0, "auto")
+    is_as_recognised = (settings.nir.step_ms, settings.nir.method) == (0, "auto")
     if convention.doubt and is_as_recognised and settings.nir.reset == "auto":
         yield f"{WARNING}{convention.doubt}"
     for node in network.nodes:

@@ -48,9 +48,9 @@ class Stepping:
         """The values of the settings, or those of the graph's convention where they have none."""
         nir = settings.nir
         convention = network.convention
-        step_s = settings.input.step / 1000 if settings.on_events else LOIHI.dt
-        if nir.step:
-            step_s = nir.step / 1000
+        step_s = settings.input.step_ms / 1000 if settings.on_events else LOIHI.dt
+        if nir.step_ms:
+            step_s = nir.step_ms / 1000
         elif convention.step_s is not None:
             step_s = convention.step_s
         method = convention.method if nir.method == "auto" else nir.method
