@@ -8,7 +8,7 @@ def divide_up(number, divisor):
     return -(-number // divisor)
 
 
-def thin(values, at_most: int):
+def select_evenly(values, at_most: int):
     """Every n-th of some values, with the smallest n that leaves at most a number of them.
 
     Parameters

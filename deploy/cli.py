@@ -17,7 +17,7 @@ from .progress import ProgressLines
 from .targets.board import find_nxsdk_version
 from .targets.options import format_flag
 from .targets.registry import TARGETS, list_options, select_options
-from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
+from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare_terminal, remark, show
 
 
 def main(arguments=None) -> int:
@@ -28,7 +28,7 @@ def main(arguments=None) -> int:
     int
         0 done, 1 a check failed, 2 wrong usage or bad input, 130 interrupted.
     """
-    prepare()
+    prepare_terminal()
     try:
         load_plugins()
         options = _make_parser().parse_args(arguments)

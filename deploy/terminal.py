@@ -65,7 +65,7 @@ def _escape_lines(text):
     return "\n".join(map(escape_control, str(text).split("\n")))
 
 
-def prepare():
+def prepare_terminal():
     """Print characters that the terminal's encoding cannot represent as escapes."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, io.UnsupportedOperation):

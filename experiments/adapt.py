@@ -37,7 +37,7 @@ from pipeline.simulation.parameters import (
 from pipeline.simulation.simulate import SimulationSetup
 from pipeline.sources import load_simulated
 from pipeline.training.adaptation.adapt import add_rehearsal, require_adaptable_recordings
-from pipeline.training.adaptation.refit import Person, refit
+from pipeline.training.adaptation.refit import Person, fit_readout
 from pipeline.training.adaptation.responder import Responder
 from pipeline.workflow import open_experiment
 
@@ -83,7 +83,7 @@ def select_people(pen: Path, fold: int, writers: int = DEFAULT_POPULATION.people
     people = set(sorted({trace.writer for trace in traces if trace.writer >= 0})[fold::FOLDS])
     try:
         others = [trace for trace in traces if trace.writer not in people]
-        shapes = handwriting.add_straight_one(handwriting.estimate(others))
+        shapes = handwriting.add_straight_one(handwriting.estimate_shape_model(others))
     except ValueError as error:
         raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
     selected = tuple(trace for trace in traces if trace.writer in people)
@@ -158,7 +158,7 @@ def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
                     own_recordings.labels[fitted_indices],
                     copies[fitted_indices],
                 )
-                fit = refit(
+                fit = fit_readout(
                     readout.weights_by_class, readout.bias, person, rehearsal, draw, responder.scale
                 )
                 weights = fit.weights if fit.helps else readout.weights_by_class
@@ -248,7 +248,7 @@ def make_cells(result: dict) -> list:
 
 Requested = Annotated[
     options.RequestedSettings,
-    options.group(
+    options.group_options(
         options.RequestedSettings, seed=options.Seed, input=options.Input, **options.CHANGES
     ),
 ]

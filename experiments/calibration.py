@@ -40,7 +40,7 @@ from experiments.fidelity import (
     hold_out,
     summarise_recordings,
 )
-from experiments.handwriting import estimate
+from experiments.handwriting import estimate_shape_model
 from experiments.paths import find_paths
 from pipeline.commands import options
 from pipeline.progress import progress
@@ -215,7 +215,7 @@ def trace_paths(bits, labels) -> list:
 
 def learn_shapes(traces, seed: int, about: dict) -> ShapeModel:
     """The ways of writing of the people who wrote on the sensor."""
-    shapes = estimate(
+    shapes = estimate_shape_model(
         [Trace(trace.digit, trace.writer, fit_in_box(trace.strokes)) for trace in traces],
         seed,
         about,
@@ -406,7 +406,7 @@ def main(
         fit = fit_sections(fit, shapes, target, 1000 * seed + STEPS, jobs)
     with progress("calibrate", STEPS, "steps") as advance:
         fit = calibrate(fit, shapes, target, seed, jobs, advance)
-    shape_model.write(out.with_suffix(".npz"), shapes)
+    shape_model.write_shape_model(out.with_suffix(".npz"), shapes)
     write_json(out, {**fit, "source": about}, indent=None)
     bits, _ = simulate_fit(fit, shapes, STEP_SAMPLES, 1000 * seed + STEPS, jobs)
     rows = [["summary", "real", "SD", "simulated", "SD"]]

@@ -39,7 +39,7 @@ from experiments import (
 from experiments.catalogue import EXPERIMENTS
 from experiments.results import RESULTS
 from pipeline.results.sweep import format_sweep
-from pipeline.settings import Settings, describe
+from pipeline.settings import Settings, describe_settings
 
 ROOT = Path(__file__).resolve().parent.parent
 # The documents, relative to the root of the repository.
@@ -100,12 +100,13 @@ def describe_commands() -> str:
     return "\n".join([*lines, *_list_sections(command, "stmnist", 2, common)])
 
 
-def describe_settings() -> str:
+def list_settings() -> str:
     """Every setting with its default and meaning, as Markdown, a heading for each section."""
-    sections = dict.fromkeys(row["name"].rpartition(".")[0] for row in describe(Settings()))
+    settings = describe_settings(Settings())
+    sections = dict.fromkeys(row["name"].rpartition(".")[0] for row in settings)
     links = " · ".join(f"[{name}](#{name})" for name in sections if name)
     lines = [f"Sections: {links}"]
-    for section, rows in groupby(describe(Settings()), lambda row: row["name"].rpartition(".")[0]):
+    for section, rows in groupby(settings, lambda row: row["name"].rpartition(".")[0]):
         about = getattr(Settings(), section) if section else Settings()
         lines += [
             f"\n## {section or 'The experiment'}\n",
@@ -131,7 +132,7 @@ def make_part(name: str) -> str:
     if name == "commands":
         return describe_commands()
     if name == "settings":
-        return describe_settings()
+        return list_settings()
     if name == "brief":
         return make_brief_table(COLUMNS)
     content = read_result(name)

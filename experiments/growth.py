@@ -70,7 +70,9 @@ def store_repeated(cache: Path, recordings: Recordings, samples_per_digit: int):
     sha256, _ = sources.find_hash_and_split(settings)
     repeated = repeat_recordings(recordings, samples_per_digit)
     repeated = replace(repeated, source=replace(recordings.source, sha256=sha256))
-    cached_recordings.store(cache / sources.find_path_of_simulated(sha256).name, repeated)
+    cached_recordings.store_recordings(
+        cache / sources.find_path_of_simulated(sha256).name, repeated
+    )
 
 
 def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:

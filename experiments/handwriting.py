@@ -15,7 +15,7 @@ from deploy.terminal import show
 from experiments import unipen
 from pipeline.simulation import shape_model
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resample
+from pipeline.simulation.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resample_stroke
 
 # Source and licence of files from which a model may be estimated, by their hash.
 KNOWN_HANDWRITING = {
@@ -42,7 +42,7 @@ UNKNOWN_SHARE = 0.5
 EXPLAINED_SHARE = 0.97
 
 
-def estimate(
+def estimate_shape_model(
     traces, seed: int = 0, about: dict | None = None, max_allographs: int = MAX_ALLOGRAPHS
 ) -> ShapeModel:
     """Estimate the model.
@@ -165,7 +165,9 @@ def _count_points(traces, count):
 
 def make_vector(trace: Trace, points) -> np.ndarray:
     """A trajectory as the vector that :class:`.Allograph` describes."""
-    coordinates = [resample(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
+    coordinates = [
+        resample_stroke(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)
+    ]
     log_times = np.log([len(stroke) - 1 for stroke in trace.strokes])
     return np.concatenate([*coordinates, log_times[1:] - log_times[0]])
 
@@ -271,10 +273,10 @@ def main(
     content = hash_file(file)
     about = {"sha256": content, **KNOWN_HANDWRITING.get(content, {"source": file.name})}
     try:
-        model = add_straight_one(estimate(traces, seed, about))
+        model = add_straight_one(estimate_shape_model(traces, seed, about))
     except ValueError as error:
         raise UserError(f"{file}: {error}; give digits of more people") from error
-    shape_model.write(out, model)
+    shape_model.write_shape_model(out, model)
     ways = ", ".join(f"{digit}: {len(ways)}" for digit, ways in enumerate(model.allographs))
     about = model.about
     show(f"{about['digits']} digits of {about['writers']} writers; ways of writing {ways}")

@@ -18,7 +18,7 @@ from pipeline.storage.artifacts import Library
 
 
 def measure(case: Case, networks: Library) -> dict:
-    """As :func:`pipeline.results.study.measure`, with the stages and splits of experiments."""
+    """As :func:`pipeline.results.study.measure_case`, with the stages and splits of experiments."""
     if case.split == STYLES:
         case = replace(case, split="random")
         row = _measure_on(hold_out_styles(study.make_dataset(case), case.seed), case, networks)
@@ -38,12 +38,12 @@ def _measure_on(dataset, case, networks):
         return study.make_row(case, dataset, index, predictions)
     if case.stage == "fast-200":
         return _draw_check_samples(
-            study.measure(replace(case, stage="fast"), networks, dataset), dataset, case
+            study.measure_case(replace(case, stage="fast"), networks, dataset), dataset, case
         )
     if case.stage in FAULTY_STAGES:
         return _measure_with_faults(dataset, case, networks)
     if case.stage not in ("slayer", "slayer-small"):
-        return study.measure(case, networks, dataset)
+        return study.measure_case(case, networks, dataset)
     from experiments.slayer import train_and_predict
 
     scale = 10.0 if case.stage == "slayer-small" else 100.0
@@ -55,11 +55,11 @@ def _measure_on(dataset, case, networks):
 def _measure_with_faults(dataset, case, networks):
     """A row of a network on the emulated chip, with faulty taxels in its test samples."""
     on_chip = replace(case, stage="fast")
-    opened = study.train(on_chip, networks, dataset)
+    opened = study.train_case(on_chip, networks, dataset)
     faults = FAULTY_STAGES[case.stage]
     faulty = add_faults(dataset.recordings, faults, [case.seed, 0xFA])
     tested = Dataset(faulty, dataset.split, dataset.origin, dataset.settings)
-    row = study.evaluate(on_chip, opened, tested)
+    row = study.evaluate_case(on_chip, opened, tested)
     return {**row, "stage": case.stage}
 
 

@@ -118,7 +118,7 @@ def make_points(trace: Trace, rng, size) -> list:
     return points
 
 
-def reverse(trace: Trace) -> Trace:
+def reverse_trace(trace: Trace) -> Trace:
     """The same line, drawn from its end to its beginning."""
     strokes = tuple(stroke[::-1] for stroke in trace.strokes[::-1])
     return Trace(trace.digit, trace.writer, strokes)
@@ -133,7 +133,7 @@ def draw_traces(traces, each: int, seed: int) -> dict:
         drawn = rng.permutation(len(of_digit))[:each]
         rows[str(digit)] = [of_digit[index] for index in drawn]
     for digit in REVERSIBLE:
-        rows[f"{digit}, reversed"] = [reverse(trace) for trace in rows[str(digit)]]
+        rows[f"{digit}, reversed"] = [reverse_trace(trace) for trace in rows[str(digit)]]
     return rows
 
 

@@ -206,12 +206,12 @@ def main():
     docs = ROOT / "docs"
     sample = load_simulated(0, SAMPLES_PER_DIGIT, 2)
     index = sample.ids.index("8/0007")
-    figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
-    figures.save(recordings.draw_sheet(sample), docs / "sheet.png")
+    figures.save_figure(recordings.draw_recording(sample, index), docs / "recording.png")
+    figures.save_figure(recordings.draw_sheet(sample), docs / "sheet.png")
     maps = read_json(ROOT / "results" / "fidelity.json", "run the experiment fidelity")["maps"]
-    figures.save(draw_maps(maps), docs / "fidelity.png")
+    figures.save_figure(draw_maps(maps), docs / "fidelity.png")
     table = read_json(ROOT / "results" / "table2-stmnist-published.json", "run table2")
-    figures.save(draw_operations(table["rows"]), docs / "operations.png")
+    figures.save_figure(draw_operations(table["rows"]), docs / "operations.png")
     _draw_live_page(docs / "live.png")
     _animate_touch(docs / "touch.gif")
     write_json(ROOT / "docs" / "pictures.json", compute_stamps())

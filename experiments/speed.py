@@ -17,7 +17,7 @@ import typer
 from deploy.check.bundle import read_bundle
 from deploy.errors import CheckFailed
 from deploy.files import write_json
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import make_responses
 from deploy.network.simulation import record_stream
@@ -72,7 +72,7 @@ def measure_on_bundle(bundle, samples: int | None = None) -> dict:
     with progress("speed", len(inputs)) as advance, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for stream in stream_slices:
-            built = build(spec)
+            built = build_nengo_network(spec)
             samples_of_part = spec.flatten_samples(inputs[stream])
             with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
                 emulator_seconds, recorded = _time_call(

@@ -144,7 +144,7 @@ Out = Annotated[Path, typer.Option(help="Folder of the rows, which are not measu
 
 Requested = Annotated[
     options.RequestedSettings,
-    options.group(
+    options.group_options(
         options.RequestedSettings, data=options.Data, seed=options.Seed, **options.CHANGES
     ),
 ]

@@ -31,9 +31,10 @@ def make_table(rows, by=("split", "name"), against=()) -> dict:
     Returns
     -------
     dict
-        ``rows``: the entries of ``by``, the ``seeds``, the ``values`` of the splits, their ``mean``
-        and :func:`estimate`, and means of ``costs``.  ``comparisons``: ``a``, ``b``, difference
-        (``mean``, ``ci95``), ``agreement`` of the predictions, ``p`` and ``p_holm``, corrected for
+        ``rows``: the entries of ``by``, the ``seeds``, the ``values`` of the splits, their
+        ``mean`` and the values of :func:`estimate_mean`, and means of ``costs``.
+        ``comparisons``: ``a``, ``b``, difference (``mean``, ``ci95``), ``agreement`` of the
+        predictions, ``p`` and ``p_holm``, corrected for
         the number of comparisons.
     """
     groups = {}
@@ -45,7 +46,7 @@ def make_table(rows, by=("split", "name"), against=()) -> dict:
         values = [row["accuracy"] for row in runs]
         entry = {**dict(zip(by, key, strict=True)), "seeds": list(of_seed), "values": values}
         entry |= {size: _compute_mean(runs, size) for size in ("n_train", "n_test")}
-        entry |= estimate(values, entry["n_train"], entry["n_test"], runs[0]["split"])
+        entry |= estimate_mean(values, entry["n_train"], entry["n_test"], runs[0]["split"])
         if len(runs) == 1:
             right = runs[0]["right"]
             entry["ci95"] = list(compute_wilson_interval(sum(right), len(right)))
@@ -86,7 +87,7 @@ def _compare_rows(rows, other_rows):
     differences = [float(np.subtract(*_pair_common(*pair)).mean()) for pair in pairs]
     shared = [row for row, _ in pairs]
     sizes = [_compute_mean(shared, name) for name in ("n_train", "n_test")]
-    comparison = estimate(differences, *sizes, pairs[0][0]["split"])
+    comparison = estimate_mean(differences, *sizes, pairs[0][0]["split"])
     if len(pairs) == 1:
         comparison["p"] = compute_mcnemar_p(*_pair_common(*pairs[0]))
     agree = [np.mean(np.equal(*_pair_common(*pair, "predictions"))) for pair in pairs]
@@ -104,7 +105,7 @@ def _pair_common(row, other_row, entry="right"):
     ]
 
 
-def estimate(values, n_train: float, n_test: float, split: str = "random") -> dict:
+def estimate_mean(values, n_train: float, n_test: float, split: str = "random") -> dict:
     """Mean over splits, with the corrected resampled t statistic.
 
     Parameters

@@ -22,7 +22,7 @@ VARIANTS = {
 }
 
 
-def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:
+def vary_recordings(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:
     """Apply one of :data:`VARIANTS` to recordings.
 
     Parameters
@@ -36,8 +36,8 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     """
     functions = {
         "as-is": lambda: recordings,
-        "no-polarity": lambda: without_polarity(recordings),
-        "even": lambda: even(recordings),
+        "no-polarity": lambda: drop_polarity(recordings),
+        "even": lambda: space_events_evenly(recordings),
         "shuffled": lambda: shuffle_events(recordings, seed),
         "counts": lambda: keep_only_counts(recordings, lasts_ns),
     }
@@ -45,12 +45,12 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
 
 
 def vary_dataset(dataset: Dataset, variant: str, seed: int) -> Dataset:
-    """A data set with changed events; see :func:`vary`.
+    """A data set with changed events; see :func:`vary_recordings`.
 
     Recordings that are reduced to counts last as long as the median training sample.
     """
     lasts = float(np.median(measure_durations_ns(dataset.recordings)[dataset.split.train]))
-    recordings = vary(dataset.recordings, variant, seed, lasts)
+    recordings = vary_recordings(dataset.recordings, variant, seed, lasts)
     origin = dataset.origin.with_content("variant", variant)
     return Dataset(recordings, dataset.split, origin, dataset.settings)
 
@@ -61,13 +61,13 @@ def measure_durations_ns(recordings: Recordings) -> np.ndarray:
     return last - first
 
 
-def without_polarity(recordings: Recordings) -> Recordings:
+def drop_polarity(recordings: Recordings) -> Recordings:
     """All events are ON: place and time of changes remain, but not their direction."""
     polarity = np.ones_like(recordings.events.polarity)
     return replace(recordings, events=replace(recordings.events, polarity=polarity))
 
 
-def even(recordings: Recordings) -> Recordings:
+def space_events_evenly(recordings: Recordings) -> Recordings:
     """Evenly spaced times from the first event to the last, in the original order."""
     sample = recordings.sample_of_event
     first, last = _find_ends(recordings)

@@ -84,7 +84,7 @@ def average_before(window: Window, size, strides) -> Window:
     return Window(kernel, steps, window.before)
 
 
-def fit_to_chip(window: Window, rows_and_columns, counts, paddings=None) -> dict | None:
+def fit_window_to_chip(window: Window, rows_and_columns, counts, paddings=None) -> dict | None:
     """Kernel, stride and padding of the chip's convolution, or None if the chip has none.
 
     Parameters

@@ -14,7 +14,7 @@ from pipeline.recordings.cached_recordings import (
     import_recordings,
     make_reading_options,
     read_stored,
-    store_and_load,
+    store_and_load_recordings,
 )
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.files.listing import list_source
@@ -183,7 +183,7 @@ def load_simulated(
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:
             new_recordings = simulate(seed, counts, jobs, advance, setup)
-            recordings = store_and_load(path, new_recordings)
+            recordings = store_and_load_recordings(path, new_recordings)
     return recordings
 
 

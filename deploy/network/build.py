@@ -18,7 +18,7 @@ from .stimulus import EventFrames, Feed
 from .synapses import split_layer
 
 
-def pad(array, widths, **options):
+def pad_array(array, widths, **options):
     """Replacement for :func:`numpy.pad` that copies directly if all widths are 0.
 
     The copy is necessary: Nengo takes its windows from the memory of a whole array, not of a view.
@@ -35,7 +35,7 @@ def pad_only_where_needed():
     """
     if getattr(transforms, "np", None) is np:
         numpy_with_pad = types.ModuleType("numpy")
-        vars(numpy_with_pad).update(vars(np), pad=pad)
+        vars(numpy_with_pad).update(vars(np), pad=pad_array)
         transforms.np = numpy_with_pad
 
 
@@ -117,7 +117,7 @@ class BuiltNetwork:
     spikes: dict
 
 
-def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> BuiltNetwork:
+def build_nengo_network(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> BuiltNetwork:
     """Build the network in Nengo.
 
     The convolutions onto the chip come from ``Neurons``, with their biases in the ensembles, so

@@ -29,11 +29,11 @@ import numpy as np
 from .. import __version__
 from ..errors import UserError
 from ..files import replacing
-from .build import build
+from .build import build_nengo_network
 from .chip import DT
 from .layer import Layer
 from .ops.dense import DeployedDense
-from .simulation import present
+from .simulation import present_samples
 from .spec import NetworkSpec, get_spec
 
 
@@ -128,9 +128,11 @@ def make_graph_input(spec: NetworkSpec, samples) -> np.ndarray:
     )
     spikes = []
     for stream in spec.presentation.list_streams(len(flat)):
-        built = build(replace(spec, layers=(nothing,)))
+        built = build_nengo_network(replace(spec, layers=(nothing,)))
         with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-            spikes.append([sample.spikes["input"] for sample in present(built, sim, flat[stream])])
+            spikes.append(
+                [sample.spikes["input"] for sample in present_samples(built, sim, flat[stream])]
+            )
     rows, columns, channels = spec.input_shape
     images = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
     return np.moveaxis(images, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)

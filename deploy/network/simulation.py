@@ -30,7 +30,7 @@ class SampleOutput(NamedTuple):
     spikes: Dict[str, np.ndarray]
 
 
-def present(built, sim, samples) -> Iterator[SampleOutput]:
+def present_samples(built, sim, samples) -> Iterator[SampleOutput]:
     """Present one stream, sample by sample, so that the probes only store one sample's steps.
 
     Parameters
@@ -88,7 +88,7 @@ def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
     readouts: list = []
     hashes: list = []
     counts: dict = {name: [] for name in built.spikes}
-    for sample in present(built, sim, samples):
+    for sample in present_samples(built, sim, samples):
         for name, rows in sample.spikes.items():
             counts[name].append(np.count_nonzero(rows, axis=0))
         hashes.append(hash_spikes(np.packbits(rows, axis=1) for rows in sample.spikes.values()))

@@ -13,7 +13,7 @@ from typing import Dict, List, Tuple
 
 from ..arithmetic import divide_up
 from ..errors import UserError
-from ..network.build import build
+from ..network.build import build_nengo_network
 from ..network.chip import DT, LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
 from ..network.spec import NetworkSpec, get_spec
@@ -171,7 +171,7 @@ def require_fit_on_chips(spec: NetworkSpec, chips: int = 1) -> Plan:
 
 def _build_blocks(spec, chip):
     """NengoLoihi's discretised blocks: ``(model, {layer: list of blocks})``."""
-    built = build(spec, chip=chip)
+    built = build_nengo_network(spec, chip=chip)
     model = nengo_loihi.builder.Model(dt=DT)
     model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE  # checked here
     try:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..arithmetic import divide_up
 from ..errors import UserError, format_as_line
-from ..network.build import build
+from ..network.build import build_nengo_network
 from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
 from ..network.output import TargetOutput
 from ..network.simulation import record_stream
@@ -97,7 +97,7 @@ def run_loihi(
 
 
 def _run_stream(spec, samples, seed, options):
-    built = build(spec, seed)
+    built = build_nengo_network(spec, seed)
     steps = built.feed.period * len(samples)
     begun = time.perf_counter()
     with _set_environment(options):
@@ -233,7 +233,7 @@ def _read_power(board):
     }
 
 
-def describe(notes: list) -> dict:
+def describe_notes(notes: list) -> dict:
     """Summarise the hardware's data for a result, from the notes of its streams.
 
     Parameters

@@ -15,7 +15,7 @@ import nengo
 import numpy as np
 
 from ..errors import UserError
-from ..network.build import build
+from ..network.build import build_nengo_network
 from ..network.chip import DT
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
 from ..network.reference import InputNeurons
@@ -86,7 +86,7 @@ class Emulation:
     """
 
     def __init__(self, spec, seed=0):
-        built = build(spec, seed)
+        built = build_nengo_network(spec, seed)
         model = nengo_loihi.builder.Model(dt=DT)
         try:
             model.build(built.network, precompute=None, discretize=True)

@@ -294,10 +294,10 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
     """
     if not find_target(target).must_fit_integers:
         return
-    from ..network.build import build  # needs Nengo, which a target need not have
+    from ..network.build import build_nengo_network  # needs Nengo, which a target need not have
     from ..network.loihi_import import require_integers
 
-    require_integers(build(spec, seed).network)
+    require_integers(build_nengo_network(spec, seed).network)
 
 
 def respond_to_streams(

@@ -9,7 +9,7 @@ from typing import Iterable, Iterator
 
 import nengo
 
-from ..network.build import build
+from ..network.build import build_nengo_network
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
 from ..network.output import TargetOutput
 from ..network.simulation import record_stream
@@ -41,7 +41,7 @@ def _make_simulator(network, target):
 
 
 def _run_on(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[TargetOutput]:
-    built = build(spec, seed)
+    built = build_nengo_network(spec, seed)
     for samples in streams:
         with simulator(built.network) as sim:
             yield record_stream(spec, built, sim, samples)

@@ -10,7 +10,7 @@ from models.keras.converter import RETRAIN, LayerConverter
 from models.keras.model import NO_CHAIN, KerasLayer
 from models.keras.signal import compute_counts, make_matrix
 from models.ops import Convolution
-from models.windows import Window, average_before, fit_to_chip, spread_kernel
+from models.windows import Window, average_before, fit_window_to_chip, spread_kernel
 
 
 def convert_dense(converter: LayerConverter, layer: KerasLayer):
@@ -62,7 +62,7 @@ def _append_windows(converter, layer, kernel, bias, counts) -> bool:
         if averaged is not None:
             window = average_before(window, averaged.size, averaged.strides)
         paddings = (padding, "same" if padding == "valid" else "valid")
-        return window, fit_to_chip(window, image[:2], counts, paddings)
+        return window, fit_window_to_chip(window, image[:2], counts, paddings)
 
     window, fitting = fit(kernel)
     if fitting is None:

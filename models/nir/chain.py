@@ -47,10 +47,10 @@ from models.nir.equations import METHODS
 from models.nir.errors import NirError
 from models.nir.graph import NirNetwork
 from models.nir.nodes import FILTERS, SPIKING
-from models.nir.simulator import apply, require_short_step
+from models.nir.simulator import apply_node, require_short_step
 from models.nir.windows import find_window
 from models.ops import Convolution, Dense
-from models.windows import fit_to_chip
+from models.windows import fit_window_to_chip
 
 
 def from_nir(
@@ -332,7 +332,7 @@ class _LinkNodes:
         window = find_window(self.maps, self.before, self.find_scale)
         if window is None:
             return None
-        fitting = fit_to_chip(window, self.before[1:], self.shape[1:])
+        fitting = fit_window_to_chip(window, self.before[1:], self.shape[1:])
         if fitting is None:
             return None
         kernel = fitting["weights"] * weight_scale[:, 0]
@@ -388,7 +388,7 @@ def _pass_through(nodes, signal):
         if node.kind == "steady":
             signal = signal * node["scale"] + node["offset"]
         else:
-            signal = apply(node, signal)
+            signal = apply_node(node, signal)
     return signal
 
 

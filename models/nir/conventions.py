@@ -1,7 +1,8 @@
 """Which framework wrote a graph, told from its numbers, and what its numbers mean.
 
 NIR's equations have seconds, but frameworks have steps.  Each writes its time constants and factors
-in its own way; the functions ``recognise_...`` know one way each, and :func:`recognise` asks them
+in its own way; the functions ``recognise_...`` know one way each, and
+:func:`recognise_convention` asks them
 in order.  A framework is recognised if all neurons and filters of the graph fit.  The table in
 ``docs/nir.md`` has the same rules in words.
 """
@@ -94,7 +95,7 @@ class Convention:
     usual_reset: str = ""
 
 
-def recognise(nodes, metadata: dict) -> Convention:
+def recognise_convention(nodes, metadata: dict) -> Convention:
     """The convention of a graph.
 
     Parameters

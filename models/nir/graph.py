@@ -15,7 +15,7 @@ import numpy as np
 
 from deploy import limits
 from deploy.files import reporting_os_errors
-from models.nir.conventions import Convention, recognise
+from models.nir.conventions import Convention, recognise_convention
 from models.nir.errors import NirError, quote
 from models.nir.nodes import MAX_DIMENSIONS, SPIKING, Node, read_node, read_node_kind
 from models.nir.topology import find_chain, find_loops, merge_subgraphs
@@ -47,7 +47,7 @@ class NirNetwork:
     @functools.cached_property
     def convention(self) -> Convention:
         """How its numbers are read, and which framework wrote them."""
-        return recognise(self.nodes, self.metadata)
+        return recognise_convention(self.nodes, self.metadata)
 
 
 def read_nir(source) -> NirNetwork:

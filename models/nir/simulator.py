@@ -160,10 +160,10 @@ def run_node(
         return _run_over_time(node, signal, step_s, method, reset, at_threshold)
     lead = signal.shape[:2]
     flat = signal.reshape(-1, *node.input_shape)
-    return apply(node, flat).reshape(*lead, *node.shape)
+    return apply_node(node, flat).reshape(*lead, *node.shape)
 
 
-def apply(node: Node, signal) -> np.ndarray:
+def apply_node(node: Node, signal) -> np.ndarray:
     """The output of a node without a state for signals, shape (n, ...); biases are added.
 
     Raises
@@ -189,7 +189,7 @@ def _run_over_time(node, signal, step_s, method, reset, at_threshold):
     for t in range(signal.shape[1]):
         total = signal[:, t].reshape(shape)
         if node.loop is not None:
-            total = total + apply(node.loop, spikes).reshape(shape)
+            total = total + apply_node(node.loop, spikes).reshape(shape)
         voltage = equation.keep_v * voltage + equation.v_from_s * total + equation.added
         voltage = voltage + equation.v_from_i * current
         current = equation.keep_i * current + equation.i_from_s * total

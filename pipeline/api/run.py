@@ -38,7 +38,7 @@ from pipeline.results import compare, other_recordings
 from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
-from pipeline.results.report.samples import replay
+from pipeline.results.report.samples import replay_samples
 from pipeline.settings import SIMULATED, Settings, merge_values, read_settings, set_nested
 from pipeline.sources import load_named_recordings
 from pipeline.storage.run_folder import RunFolder, lock_run, require_run_or_new_folder
@@ -318,7 +318,7 @@ class Run:
                 raise UserError(
                     f"{ORIGIN}: no sample {number}; those of the check are 0 to {n_samples - 1}"
                 )
-        return replay(bundle, numbers)
+        return replay_samples(bundle, numbers)
 
     @contextlib.contextmanager
     def _open(self, needs_check=True, validate=None):

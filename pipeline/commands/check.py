@@ -35,7 +35,7 @@ def _make_target_options() -> options.Group:
         for name, (_, option) in described.items()
     ]
     names = ", ".join(TARGETS)
-    return options.group(
+    return options.group_options(
         make_dataclass("TargetRequested", [("target", str), *entries]),
         target=Annotated[str, typer.Option(help=f"One of {names}.")],
         **{name: _annotate_option(*owned) for name, owned in described.items()},
@@ -44,7 +44,7 @@ def _make_target_options() -> options.Group:
 
 Others = Annotated[
     OtherRecordings,
-    options.group(
+    options.group_options(
         OtherRecordings,
         data=Annotated[
             str | None,

@@ -150,13 +150,13 @@ def plot(  # noqa: PLR0913 - each is an option of the command
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
     if sample and what == "sheet":
         raise UserError("--sample: a sheet draws its own; use 'stmnist data plot recording'")
-    figures.format_of(out)  # reports a wrong format before the recordings are read
+    figures.find_format(out)  # reports a wrong format before the recordings are read
     recordings = _load_recordings(data, reading, jobs, simulation_seed=seed)
     if what == "sheet":
         figure = drawn.draw_sheet(recordings, seed)
     else:
         figure = drawn.draw_recording(recordings, _find_index(recordings, sample))
-    figures.save(figure, out)
+    figures.save_figure(figure, out)
     show(out)
 
 

@@ -19,7 +19,7 @@ from deploy.errors import (
     format_as_line,
 )
 from deploy.plugins import load_plugins
-from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
+from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare_terminal, remark, show
 from pipeline.commands.options import convert_for_typer
 from pipeline.interrupts import handle_signals, raise_at_interrupts
 
@@ -182,7 +182,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted, by Ctrl-C
     or by the signal TERM.
     """
-    prepare()
+    prepare_terminal()
     handle_signals()
     try:
         with raise_at_interrupts():

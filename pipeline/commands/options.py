@@ -46,7 +46,7 @@ class Group:
     options: dict
 
 
-def group(make: Callable, **options) -> Group:
+def group_options(make: Callable, **options) -> Group:
     """For the annotation of a parameter that receives several options as one value."""
     return Group(make, options)
 
@@ -57,7 +57,8 @@ def convert_for_typer(verb: Callable) -> Callable:
     Parameters
     ----------
     verb : callable
-        Function of a command; parameters may be annotated with a :func:`group`, or with a function
+        Function of a command; parameters may be annotated with
+        :func:`group_options`, or with a function
         that is called here and returns one.
 
     Returns
@@ -166,7 +167,7 @@ def _make_workers(jobs=2, scheduler=None):
 
 
 # The :class:`pipeline.results.study.Workers` of an experiment.
-Workers = Annotated[Any, group(_make_workers, jobs=Jobs, scheduler=Scheduler)]
+Workers = Annotated[Any, group_options(_make_workers, jobs=Jobs, scheduler=Scheduler)]
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ class RequestedSettings:
 CHANGES = {"settings": SettingsFile, "assignments": Assignments}
 RunRequested = Annotated[
     RequestedSettings,
-    group(
+    group_options(
         RequestedSettings,
         data=Data,
         input=Input,
@@ -233,7 +234,8 @@ RunRequested = Annotated[
     ),
 ]
 TrainingRequested = Annotated[
-    RequestedSettings, group(RequestedSettings, data=Data, input=Input, seed=Seed, **CHANGES)
+    RequestedSettings,
+    group_options(RequestedSettings, data=Data, input=Input, seed=Seed, **CHANGES),
 ]
 
 

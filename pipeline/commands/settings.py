@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands import options
-from pipeline.settings import Settings, describe, format_settings, read_settings
+from pipeline.settings import Settings, describe_settings, format_settings, read_settings
 from pipeline.storage.run_folder import RunFolder
 
 
@@ -18,4 +18,4 @@ def settings(
 ):
     """List every setting: its name, as --set takes it, its value, its default and its meaning."""
     chosen = read_settings(RunFolder(run).experiment) if run else Settings()
-    options.print_result(describe(chosen), format_settings, as_json)
+    options.print_result(describe_settings(chosen), format_settings, as_json)

@@ -74,7 +74,7 @@ def describe_choice(section: str, architecture: str, sensor: Sensor) -> str:
     )
 
 
-def is_for(architecture: str, sensor: Sensor, n_channels: int) -> bool:
+def is_for_sensor(architecture: str, sensor: Sensor, n_channels: int) -> bool:
     """True if an architecture has the sensor's input size and as many outputs as classes."""
     parsed = parse(architecture)
     shape = (sensor.rows, sensor.columns, n_channels)

@@ -15,7 +15,7 @@ from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from models.architecture import parse
 from pipeline.kinds.architectures import (
-    is_for,
+    is_for_sensor,
     list_chip_problems,
     suggest_architecture,
     suggest_sensor_size,
@@ -221,7 +221,7 @@ class NetworkKind:
         """
         sensor = recordings.sensor
         classes = len(sensor.classes)
-        if is_for(self.architecture, sensor, self.channels):
+        if is_for_sensor(self.architecture, sensor, self.channels):
             return
         size = f"{sensor.rows}x{sensor.columns}x{self.channels}"
         parsed = parse(self.architecture)

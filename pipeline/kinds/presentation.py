@@ -128,8 +128,8 @@ def choose_time_constants(settings: Settings) -> list[Choice]:
     presented_ms = settings.steps * settings.input.step_ms
     are_open = settings.is_open("events.tau_u_ms") and settings.is_open("events.tau_v_ms")
     if presented_ms < FULL_TIME_CONSTANTS_MS and are_open:
-        currents_ms = shorten(currents_ms, presented_ms)
-        voltages_ms = shorten(voltages_ms, presented_ms)
+        currents_ms = shorten_time_constants(currents_ms, presented_ms)
+        voltages_ms = shorten_time_constants(voltages_ms, presented_ms)
         reason = (
             f"initial time constants of {currents_ms[0]:g} ms (current) and {voltages_ms[0]:g} ms "
             f"(voltage), for presentations of {presented_ms:g} ms (others: --set "
@@ -149,7 +149,7 @@ def choose_time_constants(settings: Settings) -> list[Choice]:
     return choices
 
 
-def shorten(taus_ms: tuple, presented_ms: float) -> tuple:
+def shorten_time_constants(taus_ms: tuple, presented_ms: float) -> tuple:
     """Time constants in proportion to a short presentation, to two digits."""
     share = presented_ms / FULL_TIME_CONSTANTS_MS
     return tuple(float(f"{tau * share:.2g}") for tau in taus_ms)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy import limits
-from deploy.arithmetic import thin
+from deploy.arithmetic import select_evenly
 from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import open_regular, read_arrays, replacing, reporting_os_errors, write_arrays
@@ -50,7 +50,7 @@ def select_curve_samples(dataset: Dataset):
     """
     if (validation := dataset.subset("validation")) is not None:
         return validation
-    index = thin(dataset.split.test, MAX_CURVE_SAMPLES)
+    index = select_evenly(dataset.split.test, MAX_CURVE_SAMPLES)
     return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
 
 

@@ -151,5 +151,5 @@ def make_spikes_message(recording: OpenRecording, output: NetworkOutput) -> dict
         "recording": recording.number,
         "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
         "seconds": (output.curve.seconds - START_S).round(4).tolist(),
-        "probabilities": base64.b64encode(in_255ths.tobytes()).decode(),
+        "chances": base64.b64encode(in_255ths.tobytes()).decode(),
     }

@@ -1,6 +1,6 @@
 """Data augmentation: samples altered in time and space, with events left out and faulty taxels.
 
-:func:`alter` makes altered samples of events, for a network on events.  A network on images uses
+:func:`alter_events` makes altered samples for a network on events.  A network on images uses
 the functions that it consists of: :func:`move_places` for the places of taxels, and
 :func:`pipeline.recordings.faulty_taxels.draw_faults` for hot and dead ones, see
 :class:`pipeline.recordings.images.AlteredImages`.
@@ -85,7 +85,7 @@ def choose_augmentation(recordings: Recordings) -> str:
     return "slight" if recordings.sensor.is_grid else "time"
 
 
-def alter(
+def alter_events(
     alteration: Alteration, rng, events: EventColumns, n_samples: int, step_ms: float, size=(10, 10)
 ) -> EventColumns:
     """Alter samples.

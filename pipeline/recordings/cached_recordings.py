@@ -82,7 +82,7 @@ def import_recordings(
     recordings = read_stored(path)
     if recordings is None:
         new_recordings = read_source(source, jobs, skip_bad, progress, reading)
-        recordings = store_and_load(path, new_recordings)
+        recordings = store_and_load_recordings(path, new_recordings)
     if warn is not None:
         for line in describe_reading(source, recordings):
             warn(line)
@@ -112,7 +112,7 @@ def _make_column_path(path, name):
     return path.with_name(f"{path.stem}-{name}.npy")
 
 
-def store(path, recordings: Recordings):
+def store_recordings(path, recordings: Recordings):
     """Save recordings; the file at ``path`` is written last, since it marks them as complete."""
     for name in EVENT_DTYPES:
         write_column(_make_column_path(path, name), getattr(recordings.events, name))
@@ -144,9 +144,9 @@ def store(path, recordings: Recordings):
     )
 
 
-def store_and_load(path, new_recordings: Recordings) -> Recordings:
+def store_and_load_recordings(path, new_recordings: Recordings) -> Recordings:
     """Save recordings, and load them from the files, so that they do not take memory."""
-    store(path, new_recordings)
+    store_recordings(path, new_recordings)
     recordings = read_stored(path)
     assert recordings is not None
     return recordings

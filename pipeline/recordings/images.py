@@ -45,7 +45,7 @@ IGNORED_SHARE = 0.02
 ALTERED_AT_ONCE = 256
 
 
-def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
+def normalise_images(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
     """Normalise each image separately.
 
     Parameters
@@ -125,7 +125,7 @@ def _make_images(counts, image):
     }[image.aggregation]
     n, _, rows, columns = on.shape
     images = np.stack(channels, axis=2).reshape(n, -1, rows, columns)
-    return normalise(np.moveaxis(images, 1, 3), image.normalisation).astype(np.float32)
+    return normalise_images(np.moveaxis(images, 1, 3), image.normalisation).astype(np.float32)
 
 
 def _count_batches(recordings, image, indices=None):

@@ -74,7 +74,7 @@ class Case:
     part : str
         ``"test"``, or ``"validation"``; then the test samples are not used at all.
     alter : str
-        How the recordings are changed, for a function that measures; :func:`measure` does not.
+        How the recordings are changed, for a function that measures; :func:`measure_case` does not.
     """
 
     name: str
@@ -126,7 +126,8 @@ def run_study(
     say : callable
         Called with the details of each failure, and with the reason for waiting.
     measured_by : callable, optional
-        ``measured_by(case, networks) -> dict``, a function of a module; default: :func:`measure`.
+        ``measured_by(case, networks) -> dict``, a function of a module; default:
+        :func:`measure_case`.
 
     Returns
     -------
@@ -152,7 +153,7 @@ def run_study(
         else:
             groups.setdefault(case.trained, []).append(case)
     failures = {}
-    work = partial(_measure_group, measured_by or measure, folder, recordings)
+    work = partial(_measure_group, measured_by or measure_case, folder, recordings)
     with progress("measure", sum(map(len, groups.values())), "cases") as advance:
         jobs = run_jobs(work, list(groups.values()), workers.processes, workers.scheduler, say)
         for group, results in jobs:
@@ -206,7 +207,7 @@ def _write_row(folder, case, recordings, row):
     return row
 
 
-def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> dict:
+def measure_case(case: Case, networks: Library, dataset: Dataset | None = None) -> dict:
     """Train what a case needs, unless a library has it, and evaluate it.
 
     Parameters
@@ -219,12 +220,12 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     Returns
     -------
     dict
-        As :func:`evaluate`.
+        As :func:`evaluate_case`.
     """
-    return evaluate(case, train(case, networks, dataset or make_dataset(case)))
+    return evaluate_case(case, train_case(case, networks, dataset or make_dataset(case)))
 
 
-def train(case: Case, networks: Library, dataset: Dataset) -> OpenedRun:
+def train_case(case: Case, networks: Library, dataset: Dataset) -> OpenedRun:
     """Train what a case needs, unless a library has it."""
     with hide_progress():
         opened = open_experiment(networks, case.resolved, dataset, _say_nothing)
@@ -233,14 +234,14 @@ def train(case: Case, networks: Library, dataset: Dataset) -> OpenedRun:
     return opened
 
 
-def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> dict:
+def evaluate_case(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> dict:
     """The row of a case whose networks are trained.
 
     Parameters
     ----------
     case : Case
     opened : OpenedRun
-        From :func:`train`.
+        From :func:`train_case`.
     dataset : Dataset, optional
         Other samples of the same split, such as those with faulty taxels; for targets only.
 

@@ -25,7 +25,12 @@ from pipeline.settings.groups import (
 from pipeline.settings.nested import find_value, merge_values, set_nested
 from pipeline.settings.relations import IMPORTED
 from pipeline.settings.schema import KEPT_IF_USERS, PATHS, Settings, list_names_in
-from pipeline.settings.text import describe, format_automatic, format_settings, parse_assignments
+from pipeline.settings.text import (
+    describe_settings,
+    format_automatic,
+    format_settings,
+    parse_assignments,
+)
 from pipeline.settings.toml import read_own_settings, read_settings, write_settings
 
 __all__ = [
@@ -56,7 +61,7 @@ __all__ = [
     "SplitShares",
     "UndeclaredSetting",
     "apply_choices",
-    "describe",
+    "describe_settings",
     "find_value",
     "format_automatic",
     "format_settings",

@@ -34,7 +34,7 @@ class SettingsGroup:
         return value
 
 
-def restrict(section: SettingsGroup, kept: set, prefix: str = "") -> SettingsGroup:
+def restrict_section(section: SettingsGroup, kept: set, prefix: str = "") -> SettingsGroup:
     """A copy of a group in which only the values in ``kept`` may be read.
 
     Parameters
@@ -48,7 +48,7 @@ def restrict(section: SettingsGroup, kept: set, prefix: str = "") -> SettingsGro
     view = object.__new__(type(section))
     for name, value in object.__getattribute__(section, "__dict__").items():
         if isinstance(value, SettingsGroup):
-            value = restrict(value, kept, f"{prefix}{name}.")
+            value = restrict_section(value, kept, f"{prefix}{name}.")
         elif prefix + name not in kept:
             value = _Access.DENIED
         object.__setattr__(view, name, value)

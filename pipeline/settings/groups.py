@@ -1,6 +1,6 @@
 """The groups of settings: the default of each setting, its limits, and above it its meaning.
 
-A default that stands for a value that the program chooses is declared with :func:`automatic`.
+A default that stands for a value that the program chooses is made by :func:`declare_automatic`.
 
 ``stmnist settings`` prints the meanings.
 """
@@ -53,7 +53,7 @@ MAX_TAU_MS = 1e6
 SIDE = between(0, 256)
 
 
-def automatic(default):
+def declare_automatic(default):
     """A setting whose default stands for a value that the program chooses.
 
     To state the default is to ask for the choice: such a value is never the user's, see
@@ -71,7 +71,7 @@ class Data(SettingsGroup):
     #: Seed of simulated recordings; the experiment's own seed does not change them.
     simulation_seed: Annotated[int, SEED] = 0
     #: Simulated recordings of each digit; 0 for the published numbers, 6,953 in all.
-    samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = automatic(0)
+    samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = declare_automatic(0)
     #: Simulated people.  ST-MNIST has 23; with more of them a network learns less of single ones.
     writers: Annotated[int, between(1, limits.SAMPLES)] = 1000
     #: Share of the simulated recordings that keep the order of events and not their time, as the
@@ -86,12 +86,12 @@ class Data(SettingsGroup):
     skip_bad: bool = False
     #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
     #: duration of the recordings.
-    time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = automatic("")
+    time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = declare_automatic("")
     #: Arrays of counts (.npy of three dimensions): width of a bin in milliseconds.
     bin: Annotated[float, between(0.001, 60_000, " milliseconds")] = 20.0
     #: Arrays of counts: channel of rising pressure, 0 or 1; -1: 1 on ST-MNIST's grid of a hundred
     #: taxels, otherwise 0.
-    rise: Annotated[int, between(-1, 1)] = automatic(-1)
+    rise: Annotated[int, between(-1, 1)] = declare_automatic(-1)
     #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
     downsample: Annotated[int, between(1, MAX_DOWNSAMPLING)] = 1
 
@@ -141,9 +141,9 @@ class SkinSize(SettingsGroup):
 
     #: Rows of taxels; 0: ten for the simulated sensor, and for recordings the number in their
     #: look-up table or their largest coordinate.
-    rows: Annotated[int, SIDE] = automatic(0)
+    rows: Annotated[int, SIDE] = declare_automatic(0)
     #: Columns of taxels; 0 has the same meaning as for the rows.
-    columns: Annotated[int, SIDE] = automatic(0)
+    columns: Annotated[int, SIDE] = declare_automatic(0)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Image(SettingsGroup):
     slices: Annotated[int, between(1, 64)] = 1
     #: Time from the first event that is divided into slices, in milliseconds; later events are
     #: counted in the last slice.  0 for two seconds.
-    duration: Annotated[float, between(0, 1e7, " milliseconds")] = automatic(0.0)
+    duration: Annotated[float, between(0, 1e7, " milliseconds")] = declare_automatic(0.0)
     #: Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
     #: ``sqrt-max``, as ``max`` after the square root of each magnitude; ``sqrt-clip``, as
     #: ``sqrt-max`` without regard to the 2 % of the taxels with the largest magnitudes, which are
@@ -185,7 +185,9 @@ class SplitShares(SettingsGroup):
     #: ``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
     #: over all samples, as in the paper; ``writers``, people with test samples have no training
     #: samples; ``auto``, the published one if there is one, otherwise random.
-    kind: Annotated[str, one_of("auto", "random", "published", "writers")] = automatic("auto")
+    kind: Annotated[str, one_of("auto", "random", "published", "writers")] = declare_automatic(
+        "auto"
+    )
 
     #: Share of all samples that is used for testing (paper: 80-20 splits); not of a published
     #: split, which has its own.
@@ -201,7 +203,7 @@ class CNN(SettingsGroup):
     #: Input, convolutions (``6c4``: six filters of 4x4) and outputs.
     architecture: str = "10x10-6c4-24c3-10o"
     #: Passes over the training samples; 0 for the paper's 20, or more on few samples.
-    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = automatic(0)
+    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = declare_automatic(0)
     #: Samples per training step.  Not given in the paper; 20 epochs with Keras's default, 32, are
     #: too few updates for an accuracy as high as the paper's.
     batch_size: Annotated[int, BATCH] = 8
@@ -212,7 +214,7 @@ class CNN(SettingsGroup):
     #: grid of taxels; ``slight``, the same half as much; ``none``; ``auto``, ``none`` for the
     #: paper's CNN, and in the training of the spiking network ``slight`` for digits on a grid of
     #: taxels and ``time`` for other recordings.
-    augment: Annotated[str, one_of(*AUGMENTATIONS)] = automatic("auto")
+    augment: Annotated[str, one_of(*AUGMENTATIONS)] = declare_automatic("auto")
     #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
     model: str = ""
     #: SHA-256 of that file's content.
@@ -229,11 +231,11 @@ class SNN(SettingsGroup):
     #: to the neurons' range and response curve without further training.
     recipe: Annotated[str, one_of(*SNN_RECIPES)] = "loihi"
     #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
-    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = automatic(0)
+    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = declare_automatic(0)
     #: Samples per training step; 0 for the default of the recipe.
-    batch_size: Annotated[int, BATCH_OR_AUTOMATIC] = automatic(0)
+    batch_size: Annotated[int, BATCH_OR_AUTOMATIC] = declare_automatic(0)
     #: Initial learning rate; 0 for the default of the recipe.
-    learning_rate: Annotated[float, AT_LEAST_0] = automatic(0.0)
+    learning_rate: Annotated[float, AT_LEAST_0] = declare_automatic(0.0)
     #: Standard deviation of the noise on each neuron's input while training, relative to the
     #: activation at ``max_rates``; recipe ``loihi`` only.
     noise: Annotated[float, AT_LEAST_0] = 0.05
@@ -271,20 +273,22 @@ class NIR(SettingsGroup):
     sha256: str = ""
     #: Milliseconds of the graph's time in a step of the chip; 0: that of the framework that wrote
     #: the graph, if it is recognised, otherwise the value of ``input.step``, or 1 with images.
-    step: Annotated[float, STEP_MS_OR_AUTOMATIC] = automatic(0.0)
+    step: Annotated[float, STEP_MS_OR_AUTOMATIC] = declare_automatic(0.0)
     #: Step of the graph's equations: ``exact``, their exact solution; ``euler``, forward Euler
     #: steps; ``norse``, ``rockpool``, ``spyx``, those of these frameworks; ``auto``, that of the
     #: framework that wrote the graph, ``exact`` if none is recognised.
-    method: Annotated[str, one_of(*NIR_METHODS)] = automatic("auto")
+    method: Annotated[str, one_of(*NIR_METHODS)] = declare_automatic("auto")
     #: The reset with which the graph was trained, which NIR does not record: ``value``, to
     #: ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
     #: step, as snnTorch does unless ``reset_delay=False``; ``subtract-all``, as often as it fits,
     #: with a spike each, as sinabs and Rockpool do by default; ``auto``, ``subtract`` or
     #: ``subtract-late`` if Rockpool or Spyx wrote the graph, otherwise ``value``.
-    reset: Annotated[str, one_of(*NIR_RESETS)] = automatic("auto")
+    reset: Annotated[str, one_of(*NIR_RESETS)] = declare_automatic("auto")
     #: Synapses that add up to a weight of a recurrent layer, which is finer with two than the 8
     #: bits of one; 0: two if the layer then fits on a core, otherwise one.
-    synapses_per_weight: Annotated[int, between(0, limits.SYNAPSES_PER_WEIGHT)] = automatic(0)
+    synapses_per_weight: Annotated[int, between(0, limits.SYNAPSES_PER_WEIGHT)] = declare_automatic(
+        0
+    )
 
     @property
     def step_ms(self) -> float:
@@ -300,17 +304,17 @@ class EventTraining(SettingsGroup):
     #: ``standard`` with about three times as many operations, or ``large`` with five times as many,
     #: which is trained three times as long; ``auto``, ``small`` for simulated handwriting and
     #: ``standard`` for other recordings.
-    size: Annotated[str, one_of("auto", "small", "standard", "large")] = automatic("auto")
+    size: Annotated[str, one_of("auto", "small", "standard", "large")] = declare_automatic("auto")
     #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
     #: Consecutive sections of a recording, which have readout weights of their own; 0: as the
     #: recordings need, one for handwriting.
-    parts: Annotated[int, between(0, MAX_SECTIONS)] = automatic(0)
+    parts: Annotated[int, between(0, MAX_SECTIONS)] = declare_automatic(0)
     #: Length of each section in milliseconds, the last one is open; 0: the presentation, divided
     #: among the sections; for handwriting two seconds.
-    part: Annotated[float, between(0, 1e6, " milliseconds")] = automatic(0.0)
+    part: Annotated[float, between(0, 1e6, " milliseconds")] = declare_automatic(0.0)
     #: Passes over the training samples; 0: as many as a suitable number of updates needs.
-    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = automatic(0)
+    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = declare_automatic(0)
     #: Samples per training step.
     batch_size: Annotated[int, BATCH] = 32
     #: Share of a layer's neurons whose spikes are left out of a training sample.
@@ -330,7 +334,7 @@ class EventTraining(SettingsGroup):
     #: ``slight``, the same half as much; ``none``; ``auto``, ``space`` for handwriting on the
     #: simulated sensor or in ST-MNIST's files, ``slight`` for other grids of taxels, and ``time``
     #: for other recordings.
-    augment: Annotated[str, one_of(*AUGMENTATIONS)] = automatic("auto")
+    augment: Annotated[str, one_of(*AUGMENTATIONS)] = declare_automatic("auto")
     #: Synaptic operations per inference above which the loss has a penalty, in multiples of the
     #: multiply-accumulates of the paper's CNN.
     budget: Annotated[float, ABOVE_0] = 0.8
@@ -374,7 +378,7 @@ class PresentationSettings(SettingsGroup):
     #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
     #: ``input.step``.  0 for 100 steps, or with events for as many as the
     #: longest recording needs, from 50 to 400.
-    steps: Annotated[int, STEPS_OR_0] = automatic(0)
+    steps: Annotated[int, STEPS_OR_0] = declare_automatic(0)
     #: Silent steps before each sample.  More, if it is not set, where the neurons' currents last
     #: longer.
     gap: Annotated[int, STEPS_OR_0] = Presentation.gap

@@ -18,7 +18,7 @@ from deploy.loading import WrongValue, load_dataclass
 from deploy.network.presentation import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from pipeline import paper
-from pipeline.settings.base import SettingsGroup, UndeclaredSetting, list_entries, restrict
+from pipeline.settings.base import SettingsGroup, UndeclaredSetting, list_entries, restrict_section
 from pipeline.settings.choices import Provenance
 from pipeline.settings.groups import (
     CNN,
@@ -219,7 +219,7 @@ class Settings(SettingsGroup):
         """
         names = {*names, *PATHS}
         declared = {name: self.find_provenance(name) for name in KEPT_IF_USERS if name in names}
-        view = restrict(self, names)
+        view = restrict_section(self, names)
         return view.with_provenance(_DeclaredProvenance(declared))
 
     def to_json(self) -> dict:

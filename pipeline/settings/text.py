@@ -15,7 +15,7 @@ from pipeline.settings.schema import Settings, is_automatic
 from pipeline.settings.toml import format_toml
 
 
-def describe(settings: Settings) -> list:
+def describe_settings(settings: Settings) -> list:
     """Every setting: a dict of ``name``, ``value``, ``default``, ``meaning`` and ``section``."""
     defaults = Settings().flatten()
     entries = list(list_entries(settings))
@@ -33,7 +33,7 @@ def describe(settings: Settings) -> list:
 
 
 def format_settings(described: list, width: int = 80) -> str:
-    """The result of :func:`describe` as text; a star marks values that are not the default."""
+    """The result of :func:`describe_settings` as text, with a star at each value that was set."""
     lines = []
     section = None
     for row in described:

@@ -1,6 +1,6 @@
 """The signal of each taxel under a moving pen (contact, film, gain, vibration, noise).
 
-:func:`press` computes the pressure of a complete recording at once, :func:`spread_force` that of a
+:func:`press_skin` computes the pressure of a complete recording, :func:`spread_force` that of a
 pen that is being used.  :class:`Creep` and :func:`add_vibration` follow in both cases.
 
 :class:`Receptors` are fast-adapting: a taxel fires only when its pressure has changed.  After an
@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.recordings.sensor import GRID, TaxelMap
 
 
-def press(motion, gain, least, skin, size=(GRID, GRID)):
+def press_skin(motion, gain, least, skin, size=(GRID, GRID)):
     """The pressure of a pen on the taxels that it reaches, before the film creeps.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.special import expit
 
-from pipeline.simulation.shape_model import DIGITS, ShapeModel, even_out
+from pipeline.simulation.shape_model import DIGITS, ShapeModel, space_points_evenly
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def draw_shape(digit: int, who: Writer, rng, shapes: ShapeModel) -> Shape:
     return Shape(choice, way.between @ person + way.within @ trial)
 
 
-def write(digit: int, shape: Shape, who: Writer, parameters) -> tuple:
+def write_digit(digit: int, shape: Shape, who: Writer, parameters) -> tuple:
     """The strokes of one digit.
 
     Parameters
@@ -169,7 +169,7 @@ def write(digit: int, shape: Shape, who: Writer, parameters) -> tuple:
         As in a :class:`Trace`.
     """
     strokes = parameters.shapes.allographs[digit][shape.way].make_strokes(shape.along)
-    strokes = tuple(even_out(stroke, who.even) for stroke in strokes)
+    strokes = tuple(space_points_evenly(stroke, who.even) for stroke in strokes)
     if who.backwards[digit] < parameters.writers.backwards[digit]:
         return tuple(stroke[::-1] for stroke in strokes[::-1])
     return strokes
@@ -199,11 +199,11 @@ def draw_placing(who: Writer, rng, form, habit: float):
 
 
 def measure_duration_s(strokes, kinematics) -> float:
-    """Duration in seconds of :func:`move` at tempo 1."""
+    """Duration in seconds of :func:`move_pen` at tempo 1."""
     return float(_time_points(strokes, 1.0, kinematics)[-1][-1])
 
 
-def move(strokes, tempo: float, step_s: float, start_s: float, kinematics) -> Motion:
+def move_pen(strokes, tempo: float, step_s: float, start_s: float, kinematics) -> Motion:
     """Write strokes on the skin.
 
     Along each stroke the points are evenly spaced in time, so that the writer's changes of speed

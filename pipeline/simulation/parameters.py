@@ -128,7 +128,7 @@ class Parameters:
 def read_parameters(population: Population = DEFAULT_POPULATION) -> Parameters:
     """The built-in parameters, for some simulated people."""
     fit = json.loads(FITTED.read_text("utf-8"))
-    return from_fit(fit, shape_model.read(FITTED_SHAPES), population)
+    return from_fit(fit, shape_model.read_shape_model(FITTED_SHAPES), population)
 
 
 def from_fit(
@@ -157,7 +157,7 @@ def from_fit(
     return Parameters(
         **sections,
         forms=tuple(map(_make_form, fit["digits"])),
-        shapes=shape_model.read_shape_model().join(shapes, 1 - population.tablet_share),
+        shapes=shape_model.read_tablet_model().join(shapes, 1 - population.tablet_share),
         people=population.people,
         chunked=population.chunked_share,
     )

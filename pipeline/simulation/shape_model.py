@@ -91,7 +91,7 @@ class Allograph:
         ratio = np.exp(np.concatenate([[0.0], np.clip(drawn[2 * POINTS :], -3, 3)]))
         counts = np.maximum(np.rint(ratio / ratio.sum() * POINTS).astype(int), 3)
         return fit_in_box(
-            resample(stroke, count) for stroke, count in zip(strokes, counts, strict=True)
+            resample_stroke(stroke, count) for stroke, count in zip(strokes, counts, strict=True)
         )
 
 
@@ -262,13 +262,13 @@ def fit_in_box(strokes) -> tuple:
     return tuple((stroke - (low + high) / 2) / height for stroke in strokes)
 
 
-def resample(stroke, count: int) -> np.ndarray:
+def resample_stroke(stroke, count: int) -> np.ndarray:
     """A stroke with another number of evenly spaced times, shape (count, 2)."""
     at = np.linspace(0, len(stroke) - 1, count)
     return np.stack([np.interp(at, np.arange(len(stroke)), axis) for axis in stroke.T], 1)
 
 
-def even_out(stroke, share: float) -> np.ndarray:
+def space_points_evenly(stroke, share: float) -> np.ndarray:
     """A stroke whose times are evenly spaced along its path, by a share from 0 to 1."""
     steps = np.hypot(*np.diff(stroke, axis=0).T)
     path = np.concatenate([[0.0], np.cumsum(steps)]) / max(steps.sum(), 1e-9)
@@ -277,16 +277,16 @@ def even_out(stroke, share: float) -> np.ndarray:
 
 
 @functools.cache
-def read_shape_model() -> ShapeModel:
+def read_tablet_model() -> ShapeModel:
     """The built-in model of people who write on a tablet."""
-    return read(MODEL)
+    return read_shape_model(MODEL)
 
 
-def read(path) -> ShapeModel:
-    """Read a model from a file that :func:`write` has written."""
+def read_shape_model(path) -> ShapeModel:
+    """Read a model from a file that :func:`write_shape_model` has written."""
     return ShapeModel.from_arrays(read_arrays(path, "install the package again"))
 
 
-def write(path, model: ShapeModel):
+def write_shape_model(path, model: ShapeModel):
     """Write a model to a file; equal models give equal bytes."""
     write_arrays(path, **model.to_arrays())

@@ -15,7 +15,7 @@ from pipeline.recordings.chunks import chunk_events
 from pipeline.recordings.recordings import Recordings, Source, join_recordings
 from pipeline.recordings.sensor import GRID, Sensor, TaxelMap
 from pipeline.simulation import aces, handwriting
-from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
+from pipeline.simulation.contact import Creep, Receptors, add_vibration, press_skin
 from pipeline.simulation.parameters import DEFAULT_POPULATION, Parameters, read_parameters
 from pipeline.simulation.spurious_events import draw_spurious_events
 
@@ -312,7 +312,7 @@ def draw_motion(sample, who, rng, parameters):
     kinematics = parameters.kinematics
     if sample.trace is None:
         shape = handwriting.draw_shape(sample.digit, who, rng, parameters.shapes)
-        strokes = handwriting.write(sample.digit, shape, who, parameters)
+        strokes = handwriting.write_digit(sample.digit, shape, who, parameters)
     else:
         strokes = sample.trace.strokes
     start = rng.uniform(*kinematics.onset_s)
@@ -329,7 +329,7 @@ def draw_motion(sample, who, rng, parameters):
     length = handwriting.measure_duration_s(strokes, kinematics)
     # The writing must end within the recording.
     tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
-    moved = handwriting.move(strokes, tempo, STEP_S, start, kinematics)
+    moved = handwriting.move_pen(strokes, tempo, STEP_S, start, kinematics)
     return replace(moved, force=np.exp(force) * moved.force * _draw_waver(moved, rng, kinematics))
 
 
@@ -344,7 +344,7 @@ def _simulate_touch(sample, who, rng, gain, parameters, size):
     moved = scale_motion(draw_motion(sample, who, rng, parameters), size)
     skin = draw_skin(who, rng, parameters, parameters.forms[sample.digit].contact)
     gain = gain * np.exp(parameters.skin.gain_drift * rng.standard_normal(len(gain)))
-    taxels, felt, speed = press(moved, gain, parameters.receptor.threshold / 2, skin, size)
+    taxels, felt, speed = press_skin(moved, gain, parameters.receptor.threshold / 2, skin, size)
     return TouchSignal(moved.time_s[0], taxels, felt, speed, skin, who.session, rng)
 
 

@@ -90,7 +90,7 @@ for _name in ("nengo_dl", "tensorflow"):
     logging.getLogger(_name).setLevel(logging.ERROR)
 
 
-def run(
+def run_network(
     settings: Settings, weights: dict, images, n_steps: int, batch: int = 200, advance=None
 ) -> np.ndarray:
     """Run the spiking network on images, each from a fresh state.
@@ -125,7 +125,7 @@ def run_rates(settings: Settings, weights: dict, images, batch: int = 200) -> np
     Parameters
     ----------
     settings, weights, images, batch
-        As in :func:`run`.
+        As in :func:`run_network`.
 
     Returns
     -------
@@ -160,13 +160,13 @@ def predict(settings: Settings, weights: dict, images, n_steps: int) -> np.ndarr
     Parameters
     ----------
     settings, weights, images, n_steps
-        As in :func:`run`.
+        As in :func:`run_network`.
 
     Returns
     -------
     ndarray of int, shape (n_samples,)
     """
-    outputs = run(settings, weights, images, n_steps)
+    outputs = run_network(settings, weights, images, n_steps)
     return outputs[:, settings.presentation.readout_start :].mean(axis=1).argmax(1)
 
 

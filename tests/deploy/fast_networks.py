@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.geometry import compute_pooled_shape
 from deploy.network.layer import Layer, Neurons
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.ops.conv import DeployedConvolution
 from deploy.network.ops.dense import DeployedDense
 from deploy.network.presentation import Presentation
-from deploy.network.simulation import present
+from deploy.network.simulation import present_samples
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
 
@@ -170,7 +170,7 @@ def images_for(spec, n, seed=0):
 
 def overflows_of(spec, images) -> np.ndarray:
     """Overflows in q0, current and u2 of NengoLoihi's emulator on one stream, shape (3,)."""
-    built, counts = build(spec), np.zeros(3, int)
+    built, counts = build_nengo_network(spec), np.zeros(3, int)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
@@ -180,5 +180,5 @@ def overflows_of(spec, images) -> np.ndarray:
                 counts[("q0", "current", "u2").index(name)] += over.sum()
 
             sim.sims["emulator"].compartment._overflow = counting
-            list(present(built, sim, images))
+            list(present_samples(built, sim, images))
     return counts

@@ -21,7 +21,7 @@ from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.simulate import make_source, simulate
 
 BUILT_IN = read_json(parameters.FITTED, "restore it")
-SHAPES = shape_model.read(parameters.FITTED_SHAPES)
+SHAPES = shape_model.read_shape_model(parameters.FITTED_SHAPES)
 
 
 def changed_fit(**values):
@@ -106,5 +106,5 @@ def test_the_command_writes_the_parameters_and_the_ways(tmp_path, monkeypatch):
     calibration.main(data=recordings, out=out, jobs=1)
     written = read_json(out, "write it")
     assert written["source"]["recordings"] == 320
-    fitted = parameters.from_fit(written, shape_model.read(out.with_suffix(".npz")))
+    fitted = parameters.from_fit(written, shape_model.read_shape_model(out.with_suffix(".npz")))
     assert fitted.compute_hash() != parameters.read_parameters().compute_hash()

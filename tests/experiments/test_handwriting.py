@@ -13,7 +13,7 @@ from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.shape_model import POINTS, Allograph
 from tests.command import call
 
-BUILT_IN = shape_model.read_shape_model()
+BUILT_IN = shape_model.read_tablet_model()
 
 
 def stroke(start, end, points=24):
@@ -40,7 +40,7 @@ def people(digits=range(10), writers=6, each=10, seed=0, **how):
 
 def test_it_is_what_people_do():
     """Ways, their shares, direction, and the variation within a person."""
-    model = fit.estimate(people(writers=60))
+    model = fit.estimate_shape_model(people(writers=60))
     for ways in model.allographs:
         downwards = sum(w.share for w in ways if w.mean[0] < w.mean[2 * POINTS - 2])
         assert downwards == pytest.approx(2 / 3, abs=0.02)
@@ -54,7 +54,7 @@ def test_people_who_are_not_known():
     """Half of the variation is a person's."""
     traces = people(writers=60)
     unknown = [replace(trace, writer=number) for number, trace in enumerate(traces)]
-    model = fit.estimate(unknown)
+    model = fit.estimate_shape_model(unknown)
     assert set(model.loyalty) == {0.5}
     for ways in model.allographs:
         for way in ways:
@@ -65,7 +65,7 @@ def test_people_who_are_not_known():
 
 
 def test_ways_of_other_people_join():
-    one, other = fit.estimate(people()), fit.estimate(people(seed=1))
+    one, other = fit.estimate_shape_model(people()), fit.estimate_shape_model(people(seed=1))
     joined = one.join(other, 0.25)
     for first, more, ways in zip(one.allographs, other.allographs, joined.allographs, strict=True):
         assert len(ways) == len(first) + len(more)
@@ -113,9 +113,9 @@ def test_strokes_of_a_mean_are_the_mean():
 
 def test_round_trip(tmp_path):
     path = tmp_path / "model.npz"
-    model = fit.estimate(people(), about={"source": "made up"})
-    shape_model.write(path, model)
-    again = shape_model.read(path)
+    model = fit.estimate_shape_model(people(), about={"source": "made up"})
+    shape_model.write_shape_model(path, model)
+    again = shape_model.read_shape_model(path)
     assert again.compute_hash() == model.compute_hash()
     assert again.about == {"source": "made up", "writers": 6, "digits": 600}
     assert replace(again, tempo=0.5).compute_hash() != model.compute_hash()
@@ -140,7 +140,7 @@ def test_no_way_of_writing_is_a_single_persons():
 def test_the_command_estimates_the_built_in_model(shared_data, tmp_path):
     file, out = shared_data / "pendigits-train.unipen", tmp_path / "model.npz"
     assert call("handwriting", file, "--out", out, main=main) == 0
-    again = shape_model.read(out)
+    again = shape_model.read_shape_model(out)
     assert again.about == BUILT_IN.about
     assert again.about["sha256"] == hash_file(file)
     assert [len(ways) for ways in again.allographs] == [len(w) for w in BUILT_IN.allographs]

@@ -44,7 +44,7 @@ def test_the_pen_lifts_between_strokes():
 
 
 def test_a_reversed_line_begins_where_the_other_ends():
-    reversed_angle = pens.reverse(ANGLE)
+    reversed_angle = pens.reverse_trace(ANGLE)
     assert reversed_angle.strokes[0][0].tolist() == [0.5, 0.0]
     assert reversed_angle.strokes[-1][-1].tolist() == [-0.5, -0.3]
 

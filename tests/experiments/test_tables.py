@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.tables import correct_by_holm, estimate, make_table
+from experiments.tables import correct_by_holm, estimate_mean, make_table
 
 
 def row(name, seed, right, split="random", n_train=80, n_test=None, **more):
@@ -27,7 +27,7 @@ def row(name, seed, right, split="random", n_train=80, n_test=None, **more):
 
 def test_the_interval_is_that_of_overlapping_splits():
     """Worked by hand: s = 0.01, 1/3 + 1/4 = 7/12, t of 2 degrees of freedom."""
-    result = estimate([0.89, 0.90, 0.91], n_train=80, n_test=20)
+    result = estimate_mean([0.89, 0.90, 0.91], n_train=80, n_test=20)
     reach = 4.302652729911275 * 0.01 * (7 / 12) ** 0.5
     assert result["mean"] == pytest.approx(0.9)
     assert result["sd"] == pytest.approx(0.01)
@@ -36,14 +36,14 @@ def test_the_interval_is_that_of_overlapping_splits():
 
 def test_a_published_split_has_the_interval_of_its_trainings():
     values = [0.89, 0.90, 0.91]
-    result = estimate(values, 80, 20, "published")
+    result = estimate_mean(values, 80, 20, "published")
     expected = stats.t.interval(0.95, 2, np.mean(values), stats.sem(values))
     np.testing.assert_allclose(result["ci95"], expected)
 
 
 @pytest.mark.parametrize("values", [[0.9], [0.2, 0.8]])
 def test_there_is_no_interval_of_fewer_than_three_splits(values):
-    result = estimate(values, 80, 20)
+    result = estimate_mean(values, 80, 20)
     assert (result["ci95"], result["p"], result["sd"]) == (None, None, None)
 
 
@@ -58,7 +58,7 @@ def test_the_shares_are_those_of_the_split_whatever_was_evaluated():
     rows = [row("chip", seed, [1] * (7 + seed) + [0] * (3 - seed), n_test=100) for seed in range(3)]
     (entry,) = make_table(rows)["rows"]
     assert entry["n_test"] == 100
-    expected = estimate([0.7, 0.8, 0.9], 80, 100)["ci95"]
+    expected = estimate_mean([0.7, 0.8, 0.9], 80, 100)["ci95"]
     np.testing.assert_allclose(entry["ci95"], expected)
 
 

@@ -61,7 +61,7 @@ def test_written_on_the_skin(tmp_path):
     path.write_text(SEVEN)
     (trace,) = unipen.read(path)
     strokes = [8 * stroke + 5 for stroke in trace.strokes]
-    motion = handwriting.move(strokes, 1.0, 1e-3, 0.1, P.kinematics)
+    motion = handwriting.move_pen(strokes, 1.0, 1e-3, 0.1, P.kinematics)
     assert motion.force[0] == motion.force[-1] == 0
     lands = np.flatnonzero(np.diff((motion.force > 0.5).astype(int)) == 1)
     assert len(lands) == 2
@@ -122,5 +122,5 @@ def test_real_handwriting(shared_data):
     ]
     assert np.mean(ratio) == pytest.approx(3.1, abs=0.1)
     strokes = [8 * stroke + 4.5 for stroke in zeros[0].strokes]
-    motion = handwriting.move(strokes, 1.0, 1e-3, 0.1, P.kinematics)
+    motion = handwriting.move_pen(strokes, 1.0, 1e-3, 0.1, P.kinematics)
     assert 0.3 < motion.time_s[-1] < 2.0

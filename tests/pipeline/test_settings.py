@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.network.presentation import Presentation
 from pipeline.settings import (
     Settings,
-    describe,
+    describe_settings,
     parse_assignments,
     read_settings,
     write_settings,
@@ -205,7 +205,7 @@ def test_settings_come_from_folder_file_and_command_line_in_this_order(tmp_path)
 
 
 def test_every_setting_is_listed_with_its_meaning():
-    described = describe(Settings())
+    described = describe_settings(Settings())
     assert [row["name"] for row in described] == list(Settings().flatten())
     assert {row["name"].split(".")[0] for row in described} == {
         e.name for e in fields(Settings) if e.init

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from deploy.tables import format_count
-from pipeline.kinds.architectures import count_operations_of_event, describe_choice, is_for
+from pipeline.kinds.architectures import count_operations_of_event, describe_choice, is_for_sensor
 from pipeline.kinds.events.input_choice import choose_input, choose_max_spikes, compute_bin_ms
 from pipeline.kinds.events.sizes import (
     FEW_SAMPLES,
@@ -127,7 +127,7 @@ class EventChoices:
         samples = 0 if is_simulated else len(self.train)
         if not settings.is_open("events.architecture"):
             return
-        if is_simulated and is_for(settings.events.architecture, sensor, CHANNELS):
+        if is_simulated and is_for_sensor(settings.events.architecture, sensor, CHANNELS):
             return
         text = suggest_event_architecture(sensor, size, samples)
         reason = f"{describe_choice('events', text, sensor)}; size {size.name}"

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deploy.arithmetic import thin
+from deploy.arithmetic import select_evenly
 from pipeline.recordings.spike_frames import EventTable, SpikeLimits
 from pipeline.settings import Input
 
@@ -185,7 +185,7 @@ def choose_max_spikes(table: EventTable, train, stimulus: Input, n_steps: int) -
     int
         0, for no limit, if a taxel that fires all the time has less than twice as many spikes.
     """
-    counted = thin(train, MAX_COUNTED_SAMPLES)
+    counted = select_evenly(train, MAX_COUNTED_SAMPLES)
     by_batch = [np.zeros(0, int)]
     for start in range(0, len(counted), 64):
         indices = counted[start : start + 64]

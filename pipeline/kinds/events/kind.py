@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deploy.arithmetic import divide_up, thin
+from deploy.arithmetic import divide_up, select_evenly
 from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.presentation import Presentation
@@ -125,7 +125,7 @@ class EventsKind(NetworkKind):
         epochs = format_count(design.epochs, "epoch")
         inputs.say(f"events: {epochs}, {format_count(updates, 'update')}, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
-        of_curve = samples._replace(held_out=thin(samples.held_out, MAX_CURVE_SAMPLES))
+        of_curve = samples._replace(held_out=select_evenly(samples.held_out, MAX_CURVE_SAMPLES))
 
         def train(advance):
             return events.train_events(design, of_curve, settings.seed, checkpoint, advance)

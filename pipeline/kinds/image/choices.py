@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from deploy.errors import UserError
 from deploy.tables import format_count
 from models.architecture import parse
-from pipeline.kinds.architectures import describe_choice, is_for, suggest_architecture
+from pipeline.kinds.architectures import describe_choice, is_for_sensor, suggest_architecture
 from pipeline.kinds.presentation import choose_image_gap
 from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.sensor import MIN_GRID_SIDE, Sensor, are_digits
@@ -114,7 +114,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     else:
         choices += _choose_epochs(settings, recordings)
     choices += _choose_learning_rate(settings)
-    if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
+    if is_own or (not is_sliced and is_for_sensor(cnn.architecture, sensor, channels)):
         return choices
     if is_sliced:
         architecture = _make_architecture_of_slices(sensor, defaults, channels)

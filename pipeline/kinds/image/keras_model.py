@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.arithmetic import thin
+from deploy.arithmetic import select_evenly
 from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import hash_file
@@ -122,8 +122,8 @@ def _choose_scale(of_pixels, without, dataset):
     from models.cnn import predict
 
     images, labels = dataset.subset("train")
-    images = thin(images, MAX_COMPARED_SAMPLES)
-    labels = thin(labels, MAX_COMPARED_SAMPLES)
+    images = select_evenly(images, MAX_COMPARED_SAMPLES)
+    labels = select_evenly(labels, MAX_COMPARED_SAMPLES)
     accuracies = [
         float((predict(make_original_network(model), images).argmax(1) == labels).mean())
         for model in (of_pixels, without)

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 
-from deploy.arithmetic import thin
+from deploy.arithmetic import select_evenly
 from deploy.tables import format_count
 from deploy.targets.fast import measure_firing_rates
 from models.architecture import parse
@@ -36,7 +36,9 @@ def _compute_logits(stage, inputs, samples, advance):
     if stage == "spiking-lif":
         from pipeline.training import nengodl
 
-        return nengodl.run(settings, weights, samples.inputs, settings.steps, advance=advance)
+        return nengodl.run_network(
+            settings, weights, samples.inputs, settings.steps, advance=advance
+        )
     from pipeline.training.images.networks import TrainedCNN, TrainedRates
 
     network = TrainedCNN if stage.startswith("cnn") else TrainedRates
@@ -179,7 +181,7 @@ class ImageKind(NetworkKind):
         settings = inputs.settings
         spec = bundle.spec
         neurons = sum(layer.size for layer in spec.layers if layer.neurons is not None)
-        images = thin(bundle.checks.inputs, max(MAX_COMPARED_RATES // max(neurons, 1), 1))
+        images = select_evenly(bundle.checks.inputs, max(MAX_COMPARED_RATES // max(neurons, 1), 1))
         start = spec.presentation.readout_start
         rates = measure_firing_rates(spec, images, settings.seed, start, advance)
         if advance is not None:

@@ -320,7 +320,7 @@ server.on("spikes", (message) => {
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   spikes = {
     seconds: message.seconds,
-    probabilities: bytes(message.probabilities),
+    chances: bytes(message.chances),
     layers: ready.layers.map(({ name, neurons }) => ({ name, neurons, packed: bytes(message.layers[name]) })),
   };
   stale.rest = true;
@@ -500,7 +500,7 @@ function draw() {
       if (ready) drawRace($("race"), {
         events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
         windowS: ready.window_s, usualS: ready.usual_s, threshold: ready.threshold, verdict: displayed?.verdict ?? null,
-        ...(spikes ?? { seconds: [], probabilities: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
+        ...(spikes ?? { seconds: [], chances: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
       });
     }
     if (stale.skin) draw();

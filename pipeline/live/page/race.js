@@ -12,7 +12,7 @@ const FONT = "13px system-ui, sans-serif"; // of a page whose text has 16 pixels
 
 // Everything on one time axis: events of the sensor, spikes of each layer, how sure the network is of
 // the likeliest classes; the end of what the network receives, and the decision as a line.
-// race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, probabilities,
+// race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, chances,
 //         threshold, classes, verdict }
 // A network on images is presented the image so far again and again: its spikes have an axis of their own.
 export function drawRace(canvas, drawn) {
@@ -175,10 +175,10 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
 }
 
 // The decided class and its strongest rivals, at the decision and then at any time; before, the likeliest ones now.
-function curvesOf({ seconds, probabilities, classes, verdict }) {
-  const largest = classes.map((_, label) => seconds.reduce((share, _, step) => Math.max(share, probabilities[step * classes.length + label]), 0));
+function curvesOf({ seconds, chances, classes, verdict }) {
+  const largest = classes.map((_, label) => seconds.reduce((share, _, step) => Math.max(share, chances[step * classes.length + label]), 0));
   const step = verdict ? seconds.findLastIndex((at) => at <= verdict.seconds + 1e-4) : seconds.length - 1;
-  const rank = (label) => (label === verdict?.label ? 1000 : probabilities[Math.max(step, 0) * classes.length + label] + largest[label] / 1000);
+  const rank = (label) => (label === verdict?.label ? 1000 : chances[Math.max(step, 0) * classes.length + label] + largest[label] / 1000);
   const top = [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
   lines = lines.map((label) => (top.includes(label) ? label : null));
   for (const label of top) if (!lines.includes(label)) lines[lines.indexOf(null)] = label;
@@ -190,7 +190,7 @@ let lines = LINES.map(() => null);
 const lineOf = (label) => colour(LINES[lines.indexOf(label)]);
 
 function drawSureness(context, race, curves, x, y, high, lane) {
-  const { seconds, probabilities, threshold, classes, verdict } = race;
+  const { seconds, chances, threshold, classes, verdict } = race;
   const decides = `decides at ${(100 * threshold).toFixed(1)} %`;
   if (threshold === null) caption(context, y, lane, "softmax of the outputs, 0 to 100 %", "softmax");
   else caption(context, y, lane, `how sure, 0 to 100 %; dotted: ${decides}`, `how sure; dotted: ${(100 * threshold).toFixed(1)} %`, "how sure");
@@ -202,7 +202,7 @@ function drawSureness(context, race, curves, x, y, high, lane) {
     context.lineWidth = i === 0 ? 2.5 : 1.4;
     context.setLineDash(DASHES[lines.indexOf(label)]);
     context.beginPath();
-    seconds.forEach((at, step) => context.lineTo(x(at), y + rise(probabilities[step * classes.length + label] / 255, high)));
+    seconds.forEach((at, step) => context.lineTo(x(at), y + rise(chances[step * classes.length + label] / 255, high)));
     context.stroke();
     context.setLineDash([]);
   });
@@ -223,9 +223,9 @@ function drawSureness(context, race, curves, x, y, high, lane) {
 }
 
 // Names at the ends of the curves, moved apart where they would cover each other.
-function nameCurves(context, { seconds, probabilities, classes }, curves, left, y, high) {
+function nameCurves(context, { seconds, chances, classes }, curves, left, y, high) {
   const last = (seconds.length - 1) * classes.length;
-  const ends = curves.map((label, i) => ({ label, i, at: y + rise(probabilities[last + label] / 255, high) }));
+  const ends = curves.map((label, i) => ({ label, i, at: y + rise(chances[last + label] / 255, high) }));
   ends.sort((a, b) => b.at - a.at || b.i - a.i); // from below
   let free = y + high + 4;
   context.textAlign = "left";

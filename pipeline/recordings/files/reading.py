@@ -20,7 +20,7 @@ from pipeline.recordings.formats.mat import read_lookup_table
 from pipeline.recordings.formats.recording import BadRecording, EventRecording
 from pipeline.recordings.interpretation.class_order import order_classes
 from pipeline.recordings.interpretation.interpretation import Interpretation
-from pipeline.recordings.interpretation.layouts import interpret
+from pipeline.recordings.interpretation.layouts import interpret_recordings
 from pipeline.recordings.interpretation.options import AS_FOUND
 from pipeline.recordings.interpretation.taxel_tables import read_positions
 from pipeline.recordings.recordings import Recordings, Source, join_recordings
@@ -98,7 +98,7 @@ def read_source(
         raise SeveralErrors(describe_refusals(path, files.refused, listing.total, can_skip=False))
     files, order = _settle_orders(path, files)
     parts = [entry.part for entry in files.entries]
-    interpretation = interpret(path, files.recordings, parts, lookup, positions, reading)
+    interpretation = interpret_recordings(path, files.recordings, parts, lookup, positions, reading)
     warnings = describe_doubts(interpretation, [entry.member for entry in files.entries])
     files = files.without_refused(interpretation)
     if files.refused and not skip_bad:

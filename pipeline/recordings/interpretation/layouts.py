@@ -22,7 +22,7 @@ LAYOUT_NAMES = {
 }
 
 
-def interpret(
+def interpret_recordings(
     path, recordings, parts, lookup=None, positions=None, options=AS_FOUND
 ) -> Interpretation:
     """Determine the sensor of recordings that were read one by one, and their events on it.

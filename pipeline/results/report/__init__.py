@@ -23,14 +23,15 @@ def write_report(run, path=None) -> Path:
     Raises
     ------
     UserError
-        The name has another ending; see also :func:`pipeline.results.report.gather.gather`.
+        The name has another ending; see also
+        :func:`pipeline.results.report.gather.gather_report_data`.
     """
-    from pipeline.results.report.gather import gather
-    from pipeline.results.report.page import render
+    from pipeline.results.report.gather import gather_report_data
+    from pipeline.results.report.page import render_report
 
     path = Path(path) if path else Path(run) / "report.html"
     require_ending(path, ".html")
-    html = render(gather(RunFolder(run)))
+    html = render_report(gather_report_data(RunFolder(run)))
     with replacing(path, "w") as file:
         file.write(html)
     return path

@@ -14,7 +14,7 @@ from pipeline.progress import progress
 from pipeline.results.ladder import list_stages, select_deployed_result
 from pipeline.results.other_recordings import FOLDER as OTHERS
 from pipeline.results.report.page import ReportData
-from pipeline.results.report.samples import choose_samples, replay
+from pipeline.results.report.samples import choose_samples, replay_samples
 from pipeline.results.status import find_outdated, list_states
 from pipeline.settings import read_settings
 from pipeline.storage.run_folder import RunFolder, require_run
@@ -25,7 +25,7 @@ REMEDY = "delete it and make it again"
 MANY_CHIPS = 10_000
 
 
-def gather(folder: RunFolder) -> ReportData:
+def gather_report_data(folder: RunFolder) -> ReportData:
     """Read a run, and replay the samples that its report shows.
 
     Parameters
@@ -56,7 +56,7 @@ def gather(folder: RunFolder) -> ReportData:
         )
     chosen = choose_samples(select_deployed_result(results))
     with progress("replay samples", len(chosen)) as advance:
-        replays = replay(bundle, chosen, settings.seed, advance)
+        replays = replay_samples(bundle, chosen, settings.seed, advance)
     titles: dict = {}
     metrics: dict = {}
     histories: dict = {}

@@ -79,7 +79,7 @@ class ReportData:
         return self.bundle.spec.provenance["classes"]
 
 
-def render(inputs: ReportData, now: datetime.datetime | None = None) -> str:
+def render_report(inputs: ReportData, now: datetime.datetime | None = None) -> str:
     """Write the report.
 
     Parameters

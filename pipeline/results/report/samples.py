@@ -78,7 +78,7 @@ def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
     return mistakes + list(dict.fromkeys(order))[:right]
 
 
-def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
+def replay_samples(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
     """Run some samples of the check again, each with those before it in its stream.
 
     The state that previous samples leave matters, so a stream is run from its start.

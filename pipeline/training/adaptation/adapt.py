@@ -16,7 +16,7 @@ from deploy.network.stimulus import find_last_steps
 from deploy.tables import list_names
 from pipeline.recordings.dataset import require_sensor_fits
 from pipeline.recordings.recordings import Recordings
-from pipeline.training.adaptation.refit import PULLS, REHEARSALS, Refit, refit
+from pipeline.training.adaptation.refit import PULLS, REHEARSALS, Refit, fit_readout
 from pipeline.training.adaptation.responder import Responder
 
 # Number of training samples whose responses are in a bundle.
@@ -97,7 +97,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         )
     person = responder.make_person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
-    fit = refit(
+    fit = fit_readout(
         readout.weights_by_class, readout.bias, person, spec.rehearsal, seed, responder.scale
     )
     is_other = ~_mark_check_samples(bundle, responder, recordings)

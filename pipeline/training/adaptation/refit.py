@@ -103,7 +103,7 @@ class Refit:
 
 # In one thread: matrix products of a few hundred rows take 12 times as long in several threads.
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: float = 1.0):
+def fit_readout(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: float = 1.0):
     """Refit a readout, with ``pull`` and ``rehearsal`` chosen by cross-validation.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
 from models.spiking.network import Neuron, SpikingNetwork
-from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
+from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter_events
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.spike_frames import EventTable, SpikeLimits, make_spike_frames
 from pipeline.settings import EventTraining, Input, Settings
@@ -74,7 +74,7 @@ class EventDesign:
     def alter_samples(self, rng, table: EventTable, indices) -> EventColumns:
         """Some samples altered."""
         events = table.select(indices)
-        return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
+        return alter_events(self.alteration, rng, events, len(indices), self.step_ms, table.size)
 
     def make_frames(
         self, events: EventColumns, n_samples: int, n_steps: int, size: tuple

@@ -46,7 +46,7 @@ class TrainingSamples:
         return len(self.labels)
 
 
-def fit(
+def fit_model(
     model, schedule: TrainingSchedule, samples: TrainingSamples, seed: int, advance=None
 ) -> list:
     """Train a model with logit outputs with sparse categorical cross-entropy.
@@ -79,7 +79,7 @@ def fit(
 
 
 def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, seed: int):
-    """Train a model as :func:`fit` does; each value requested trains one epoch.
+    """Train a model as :func:`fit_model` does; each value requested trains one epoch.
 
     An epoch is one call of a compiled loop over its batches, or a few calls if there is much noise.
     Keras's own ``fit`` returns to Python between batches, which for these small networks takes as

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deploy.arithmetic import thin
+from deploy.arithmetic import select_evenly
 from models.architecture import Architecture, parse
 from models.cnn import RateLIF
 from pipeline.settings import Settings
@@ -32,7 +32,9 @@ def select_measured(images, architecture: Architecture) -> np.ndarray:
         Architecture of the network, which has an activation for each of its neurons and each image.
     """
     neurons = max(sum(architecture.neurons.values()), 1)
-    return thin(images, min(MAX_MEASURED_SAMPLES, max(MAX_MEASURED_ACTIVATIONS // neurons, 1)))
+    return select_evenly(
+        images, min(MAX_MEASURED_SAMPLES, max(MAX_MEASURED_ACTIVATIONS // neurons, 1))
+    )
 
 
 def scale_to_unit(settings: Settings, weights: dict, images) -> dict:

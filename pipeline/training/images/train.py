@@ -4,7 +4,7 @@ from models.architecture import parse
 from models.cnn import build_cnn, get_weights, make_relu, set_weights
 from models.keras.keras2 import tf
 from pipeline.settings import Settings
-from pipeline.training.images.epochs import TrainingSamples, fit, make_deterministic
+from pipeline.training.images.epochs import TrainingSamples, fit_model, make_deterministic
 from pipeline.training.images.networks import TrainedCNN, TrainedRates, build_rate_network
 from pipeline.training.images.rescaling import fit_to_rates, scale_to_unit
 from pipeline.training.images.schedules import make_cnn_schedule, make_snn_schedule
@@ -35,7 +35,7 @@ def train_cnn(
     if weights is not None:
         set_weights(model, weights)
     schedule = make_cnn_schedule(settings.cnn, len(samples))
-    history = fit(model, schedule, samples, seed, advance)
+    history = fit_model(model, schedule, samples, seed, advance)
     return TrainedCNN(settings, get_weights(model), history)
 
 
@@ -64,7 +64,7 @@ def train_matched(
     )
     set_weights(model, scale_to_unit(settings, cnn_weights, samples.images))
     schedule = make_snn_schedule(snn, len(samples))
-    history = fit(model, schedule, samples, seed, advance)
+    history = fit_model(model, schedule, samples, seed, advance)
     return TrainedCNN(settings, get_weights(model), history)
 
 
@@ -99,7 +99,7 @@ def train_rate_network(
         return TrainedRates(settings, fit_to_rates(settings, cnn_weights, samples.images))
     model = build_new_rate_network(settings, seed, samples.images, cnn_weights)
     schedule = make_snn_schedule(settings.snn, len(samples))
-    history = fit(model, schedule, samples, seed, advance)
+    history = fit_model(model, schedule, samples, seed, advance)
     return TrainedRates(settings, get_weights(model), history)
 
 

@@ -14,7 +14,7 @@ from deploy.conformance.networks import (
     make_readout,
 )
 from deploy.network.blocks import BlockNeeds, choose_block, choose_blocks, find_rescaled_layers
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.chip import LOIHI
 from deploy.network.geometry import list_windows
 from deploy.network.loihi_import import nengo_loihi
@@ -245,7 +245,9 @@ def test_layers_whose_blocks_are_scaled_separately():
     by_units = replace(make_dense("dense1", by_rows.shape, 6, rng), block_shape=(3,))
     layers = (by_filters, by_rows, by_units, make_readout(by_units.shape, rng))
     spec, thresholds = replace(make_image_network(), layers=layers), {}
-    with nengo_loihi.Simulator(build(spec).network, target="sim", precompute=True) as sim:
+    with nengo_loihi.Simulator(
+        build_nengo_network(spec).network, target="sim", precompute=True
+    ) as sim:
         for block in sim.model.blocks:
             (name,) = [layer.name for layer in layers if f"'{layer.name}'" in block.label]
             thresholds.setdefault(name, set()).update(block.compartment.vth.tolist())

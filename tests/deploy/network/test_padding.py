@@ -5,7 +5,7 @@ import pytest
 from nengo.builder import transforms
 
 from deploy.conformance.networks import make_image_network
-from deploy.network.build import pad, pad_only_where_needed
+from deploy.network.build import pad_array, pad_only_where_needed
 from deploy.targets.registry import run_target
 from tests.deploy.networks import draw_checks, make_mixed_network
 
@@ -13,8 +13,8 @@ from tests.deploy.networks import draw_checks, make_mixed_network
 def test_what_is_padded_is_numpys():
     array = np.arange(12.0).reshape(1, 2, 3, 2)
     widths = ((0, 0), (1, 0), (0, 2), (0, 0))
-    np.testing.assert_array_equal(pad(array, widths, mode="constant"), np.pad(array, widths))
-    nothing = pad(array[:, :, 1:], ((0, 0),) * 4, mode="constant")
+    np.testing.assert_array_equal(pad_array(array, widths, mode="constant"), np.pad(array, widths))
+    nothing = pad_array(array[:, :, 1:], ((0, 0),) * 4, mode="constant")
     np.testing.assert_array_equal(nothing, array[:, :, 1:])
     assert nothing.base is None  # not a view, of whose memory Nengo would take the wrong part
 

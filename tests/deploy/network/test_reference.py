@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.conformance.networks import draw_frames, make_event_network, make_image_network
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.reference import (
     delay_one_step,
     make_input_spikes,
@@ -15,7 +15,7 @@ from deploy.network.reference import (
     run_reference,
 )
 from deploy.network.responses import make_responses
-from deploy.network.simulation import present
+from deploy.network.simulation import present_samples
 from deploy.targets.registry import run_target
 from tests.deploy.networks import draw_checks, make_mixed_network
 
@@ -50,10 +50,10 @@ def test_the_equations_are_the_emulator_s_integers_spike_by_spike(tau_ref, min_v
     layers = [replace(layer, neurons=neurons) for layer in spec.layers[:2]]
     spec = replace(spec, layers=(*layers, spec.layers[2]))
     samples = spec.flatten_samples(draw_checks(spec, 3).inputs)
-    built = build(spec)
+    built = build_nengo_network(spec)
     with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
         blocks = list(sim.model.blocks)
-        shown = list(present(built, sim, samples))
+        shown = list(present_samples(built, sim, samples))
     expected = {
         name: np.concatenate([of_sample.spikes[name] for of_sample in shown])
         for name in spec.spiking_layers

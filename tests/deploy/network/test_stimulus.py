@@ -9,9 +9,9 @@ from deploy.check.bundle import CheckSet, read_bundle, write_bundle
 from deploy.check.run import run_check
 from deploy.conformance.networks import draw_frames, make_event_network
 from deploy.errors import UserError
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.simulation import present
+from deploy.network.simulation import present_samples
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, find_last_steps
 from deploy.preflight.plan import make_plan
@@ -33,7 +33,7 @@ def test_frames_and_silence_by_hand():
 def test_an_event_is_one_spike_in_its_step(target):
     spec = make_event_network()
     frames = draw_frames(spec, 3)
-    built = build(spec)
+    built = build_nengo_network(spec)
     if target == "nengo":
         import nengo
 
@@ -41,7 +41,7 @@ def test_an_event_is_one_spike_in_its_step(target):
     else:
         simulator = nengo_loihi.Simulator(built.network, target=target, precompute=True)
     with simulator as sim:
-        shown = list(present(built, sim, spec.stimulus.flatten(frames)))
+        shown = list(present_samples(built, sim, spec.stimulus.flatten(frames)))
     gap = spec.presentation.gap
     for one, frame in zip(shown, frames, strict=True):
         assert not one.spikes["input"][:gap].any()
@@ -58,9 +58,9 @@ def test_an_event_arrives_as_a_spike_of_height_one():
     for weight in (15.0, 25.0):  # of a membrane of 20 steps about a twentieth arrives in one step
         weights = np.full_like(layer.weights, weight)
         changed = replace(spec, layers=(replace(layer, weights=weights), *spec.layers[1:]))
-        built = build(changed)
+        built = build_nengo_network(changed)
         with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-            (shown,) = present(built, sim, changed.stimulus.flatten(frames))
+            (shown,) = present_samples(built, sim, changed.stimulus.flatten(frames))
         fires[weight] = shown.spikes["conv1"].any()
     assert fires == {15.0: False, 25.0: True}
 

@@ -14,7 +14,7 @@ from deploy.conformance.networks import (
     make_readout,
 )
 from deploy.errors import UserError
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.chip import LOIHI
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.nir import write_nir
@@ -81,7 +81,9 @@ def test_counts_are_those_of_the_registers_written(nxsdk, spec):
     if spec.layers[1].block_shape:
         layers = [replace(spec.layers[1], block_shape=(2, 3, 24))]
         spec = replace(spec, layers=(spec.layers[0], *layers, spec.layers[2]))
-    with nengo_loihi.Simulator(build(spec).network, target="loihi", precompute=True) as sim:
+    with nengo_loihi.Simulator(
+        build_nengo_network(spec).network, target="loihi", precompute=True
+    ) as sim:
         board = sim.sims["loihi"].nxsdk_board
     plan = make_plan(spec)
     assert len(plan.cores) == sum(len(chip.n2Cores) for chip in board.n2Chips)
@@ -100,7 +102,7 @@ def test_current_never_exceeds_its_bound(nxsdk):
     """The worst case is not passed by what the stand-in really computes."""
     spec = make_paper_network()
     bounds = {(core.chip, core.core): core for core in make_plan(spec).cores}
-    built = build(spec)
+    built = build_nengo_network(spec)
     built.feed.samples = np.ones((1, 100))
     with nengo_loihi.Simulator(built.network, target="loihi", precompute=True) as sim:
         board = sim.sims["loihi"].nxsdk_board

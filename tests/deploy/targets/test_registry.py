@@ -11,7 +11,7 @@ from deploy.check.bundle import write_bundle
 from deploy.check.run import run_check
 from deploy.conformance.networks import make_convolution, make_image_network, make_readout
 from deploy.errors import UserError
-from deploy.network.build import build
+from deploy.network.build import build_nengo_network
 from deploy.network.layer import Layer, Neurons
 from deploy.network.ops.conv import DeployedConvolution
 from deploy.network.ops.dense import DeployedDense
@@ -59,7 +59,7 @@ def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
 @pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
     spec = make_image_network(gap=4)
-    built = build(spec)
+    built = build_nengo_network(spec)
     built.feed.samples = images[:3].reshape(3, -1)
     if target == "nengo":
         simulator = nengo.Simulator(built.network, progress_bar=False, optimize=False)

@@ -32,7 +32,7 @@ def strange_hand(each, seed=5):
     traces = []
     for digit in np.repeat(np.arange(10), each):
         shape = handwriting.draw_shape(digit, who, rng, p.shapes)
-        strokes = handwriting.write(digit, shape, who, p)
+        strokes = handwriting.write_digit(digit, shape, who, p)
         traces.append(Trace(int(digit), 7, fit_in_box(stroke @ LEANING for stroke in strokes)))
     return simulate(seed, [each] * 10, 1, setup=SimulationSetup(traces=tuple(traces)))
 

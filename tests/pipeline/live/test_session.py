@@ -88,7 +88,7 @@ def test_the_answer_is_to_all_events_so_far(session):
     assert verdict["confidence"] >= 0.9
     assert verdict["seconds"] in [pytest.approx(at, abs=1e-3) for at in seconds]
     assert 0 < verdict["seconds"] < seconds[-1]
-    assert len(base64.b64decode(spikes["probabilities"])) == 10 * len(seconds)
+    assert len(base64.b64decode(spikes["chances"])) == 10 * len(seconds)
     assert spikes["recording"] == answer["recording"]
     assert len(base64.b64decode(spikes["layers"]["input"])) == 3 * 13
     last = max(ns for reply in of(replies, "events") for ns in reply["ns"])

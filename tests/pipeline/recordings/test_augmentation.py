@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.recordings.augmentation import (
     Alteration,
-    alter,
+    alter_events,
     alter_recordings,
     choose_augmentation,
 )
@@ -24,7 +24,7 @@ def altered(how, n=400, seed=0):
     ones = np.ones(n, int)
     rng = np.random.default_rng(seed)
     events = EventColumns(np.arange(n), 10.0 * ones, 4 * ones, 0 * ones, ones)
-    return alter(how, rng, events, n, 1.0)
+    return alter_events(how, rng, events, n, 1.0)
 
 
 def test_nothing_altered_but_where_in_its_step_a_sample_begins():
@@ -92,7 +92,7 @@ def test_events_of_altered_recordings_are_those_of_alter():
     taxel = np.asarray(many[1])
     time_ms = (times - times[0]) / 1e6
     events = EventColumns(np.zeros(200, int), time_ms, taxel % 10, taxel // 10, many[2])
-    _, altered_ms, row, column, _ = alter(how, np.random.default_rng(7), events, 1, 10.0)
+    _, altered_ms, row, column, _ = alter_events(how, np.random.default_rng(7), events, 1, 10.0)
     assert sorted((10 * column + row).tolist()) == sorted(changed[0].taxel.tolist())
     assert (np.diff(changed[0].time_ns) >= 0).all()
     np.testing.assert_allclose(
@@ -122,8 +122,8 @@ def test_handwriting_is_altered_in_space_and_other_grids_slightly(source, sensor
 def test_samples_get_hot_and_dead_taxels():
     n, ones = 500, np.ones(500, int)
     events = EventColumns(np.arange(n), 1000.0 * ones, 4 * ones, 5 * ones, ones)
-    hot = alter(replace(STILL, hot=1.0), np.random.default_rng(0), events, n, 10.0)
+    hot = alter_events(replace(STILL, hot=1.0), np.random.default_rng(0), events, n, 10.0)
     assert set(hot.sample.tolist()) == set(range(n))
     assert len(hot.sample) > 10 * n
-    dead = alter(replace(STILL, dead=1.0), np.random.default_rng(0), events, n, 10.0)
+    dead = alter_events(replace(STILL, dead=1.0), np.random.default_rng(0), events, n, 10.0)
     assert 0.9 * n < len(dead.sample) < n

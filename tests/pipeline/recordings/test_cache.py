@@ -39,7 +39,7 @@ def is_mapped(column):
 
 
 def test_stored_recordings_are_mapped_and_the_same(some, tmp_path):
-    cached_recordings.store(tmp_path / "some.npz", some)
+    cached_recordings.store_recordings(tmp_path / "some.npz", some)
     loaded = cached_recordings.read_stored(tmp_path / "some.npz")
     for name in EVENT_DTYPES:
         assert is_mapped(getattr(loaded.events, name)), name

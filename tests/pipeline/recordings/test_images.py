@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from pipeline.recordings import faulty_taxels
 from pipeline.recordings.augmentation import AUGMENTATIONS
-from pipeline.recordings.images import AlteredImages, make_tactile_images, normalise
+from pipeline.recordings.images import AlteredImages, make_tactile_images, normalise_images
 from pipeline.recordings.sensor import TaxelMap
 from pipeline.settings import Image
 from tests.pipeline.handmade import recordings
@@ -50,27 +50,27 @@ def test_the_lookup_table_decides_where_a_taxel_is():
 )
 def test_normalisations_by_hand(normalisation, expected):
     image = np.array([16, -4, 0, 9.0]).reshape(1, 2, 2)
-    np.testing.assert_allclose(normalise(image, normalisation).ravel(), expected)
-    assert not normalise(np.zeros((1, 2, 2)), normalisation).any()
+    np.testing.assert_allclose(normalise_images(image, normalisation).ravel(), expected)
+    assert not normalise_images(np.zeros((1, 2, 2)), normalisation).any()
 
 
 def test_a_hot_taxel_does_not_darken_the_image():
     image = np.zeros((1, 10, 10))
     image[0, 2, :5] = [4, 9, 16, 16, 1]
-    alone = normalise(image, "sqrt-clip")
+    alone = normalise_images(image, "sqrt-clip")
     np.testing.assert_allclose(alone[0, 2, :5], [2 / 3, 1, 1, 1, 1 / 3])
     hot = image.copy()
     hot[0, 9, 9] = 1000
-    seen = normalise(hot, "sqrt-clip")
+    seen = normalise_images(hot, "sqrt-clip")
     assert seen[0, 9, 9] == 1
     np.testing.assert_allclose(seen[0, 2, :5], [0.5, 0.75, 1, 1, 0.25])
-    assert normalise(hot, "sqrt-max")[0, 2, 3] < 0.2
+    assert normalise_images(hot, "sqrt-max")[0, 2, 3] < 0.2
 
 
 def test_few_active_taxels_are_normalised_by_the_largest():
     image = np.zeros((1, 10, 10, 2))
     image[0, 2, 3] = [9, 36]
-    found = normalise(image, "sqrt-clip")
+    found = normalise_images(image, "sqrt-clip")
     np.testing.assert_allclose(found[0, 2, 3], [0.5, 1])
 
 
@@ -78,7 +78,7 @@ def test_channels_of_a_taxel_count_once():
     image = np.zeros((1, 10, 10, 16))
     image[0, :4, 0, 3] = [100, 64, 16, 4]
     image[0, 0, 0] = 100
-    found = normalise(image, "sqrt-clip")
+    found = normalise_images(image, "sqrt-clip")
     np.testing.assert_allclose(found[0, :4, 0, 3], [1, 1, 1, 0.5])
 
 
@@ -87,11 +87,11 @@ def test_channels_of_a_taxel_count_once():
     normalisation=st.sampled_from(["max", "sum", "sqrt-max", "sqrt-clip"]),
 )
 def test_each_image_is_normalised_by_itself(images, normalisation):
-    result = normalise(images, normalisation)
+    result = normalise_images(images, normalisation)
     assert np.abs(result).max() <= 1 + 1e-12
     assert (np.sign(result) == np.sign(images)).all()
-    np.testing.assert_array_equal(result[1:2], normalise(images[1:2], normalisation))
-    np.testing.assert_allclose(result, normalise(4 * images, normalisation), atol=1e-12)
+    np.testing.assert_array_equal(result[1:2], normalise_images(images[1:2], normalisation))
+    np.testing.assert_allclose(result, normalise_images(4 * images, normalisation), atol=1e-12)
 
 
 def test_what_the_networks_see():

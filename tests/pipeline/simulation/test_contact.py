@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from pipeline.simulation import parameters
-from pipeline.simulation.contact import Creep, add_vibration, press
+from pipeline.simulation.contact import Creep, add_vibration, press_skin
 from pipeline.simulation.handwriting import Motion
 
 P = parameters.read_parameters().skin
@@ -24,7 +24,7 @@ def resting(down, right, force):
 def signal_of(motion, gain, least, seed, p):
     """Taxels and their signal, all the way through the film."""
     rng = np.random.default_rng(seed)
-    taxels, felt, speed = press(motion, gain, least, p)
+    taxels, felt, speed = press_skin(motion, gain, least, p)
     Creep(len(taxels), STEP, p).advance(felt)
     add_vibration(felt, speed, rng, p)
     return taxels, felt

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.simulation import handwriting, parameters, shape_model
-from pipeline.simulation.handwriting import move
+from pipeline.simulation.handwriting import move_pen
 
 P = parameters.read_parameters()
 STEP = 1e-3
@@ -20,7 +20,7 @@ def line(start, end, points=20):
 
 
 def test_the_pen_follows_a_stroke_and_rests_at_its_end():
-    pen = move([line([1, 2], [7, 2])], 1.0, STEP, 0.2, P.kinematics)
+    pen = move_pen([line([1, 2], [7, 2])], 1.0, STEP, 0.2, P.kinematics)
     assert np.allclose(pen.right, 2)
     assert (pen.down[0], pen.down[-1]) == pytest.approx((1, 7))
     assert pen.force[0] == pen.force[-1] == 0
@@ -31,14 +31,14 @@ def test_the_pen_follows_a_stroke_and_rests_at_its_end():
 
 def test_the_pen_is_slow_where_the_trace_is():
     down = np.concatenate([np.linspace(0, 1, 11), np.linspace(1, 7, 11)[1:]])  # slow, then fast
-    pen = move([np.stack([down, np.zeros(21)], 1)], 1.0, STEP, 0.0, P.kinematics)
+    pen = move_pen([np.stack([down, np.zeros(21)], 1)], 1.0, STEP, 0.0, P.kinematics)
     middle = np.interp(np.mean([0, 7 / P.kinematics.speed]), pen.time_s, pen.down)
     assert middle == pytest.approx(1, abs=0.05)
 
 
 def test_the_pen_is_in_the_air_between_strokes():
     strokes = [line([0, 0], [0, 5]), line([5, 0], [5, 5])]
-    pen = move(strokes, 1.0, STEP, 0.2, P.kinematics)
+    pen = move_pen(strokes, 1.0, STEP, 0.2, P.kinematics)
     down = pen.force > 0.5
     assert np.flatnonzero(np.diff(down.astype(int)) == 1).size == 2
     lifted, landed = np.flatnonzero(np.diff((pen.force == 0).astype(int)))[1:3]
@@ -49,7 +49,7 @@ def test_the_pen_is_in_the_air_between_strokes():
 def test_tempo_scales_time_only(tempo):
     strokes = [line([0, 0], [4, 1]), line([0, 5], [6, 5], 9)]
     length = handwriting.measure_duration_s(strokes, P.kinematics)
-    pen = move(strokes, tempo, STEP, 0.0, P.kinematics)
+    pen = move_pen(strokes, tempo, STEP, 0.0, P.kinematics)
     assert pen.time_s[-1] == pytest.approx(length / tempo + P.kinematics.settle_s, abs=2 * STEP)
     assert (pen.down[-1], pen.right[-1]) == pytest.approx((6, 5))
 
@@ -61,7 +61,7 @@ def people(count, p=P):
 def written(digit, who, seed, p=P):
     rng = np.random.default_rng(seed)
     shape = handwriting.draw_shape(digit, who, rng, p.shapes)
-    return handwriting.write(digit, shape, who, p)
+    return handwriting.write_digit(digit, shape, who, p)
 
 
 def test_people_differ_as_the_parameters_say():
@@ -138,7 +138,7 @@ def test_places_vary_as_the_form_says():
 
 
 def test_some_people_write_a_1_as_one_straight_line():
-    straight = shape_model.read_shape_model().allographs[1][-1]
+    straight = shape_model.read_tablet_model().allographs[1][-1]
     (line,) = straight.make_strokes(np.zeros(3))
     np.testing.assert_allclose(line[[0, -1], 0], [-0.5, 0.5], atol=1e-9)
     assert np.ptp(line[:, 1]) < 0.2

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.recordings.events import EVENT_DTYPES
 from pipeline.simulation import aces, parameters
-from pipeline.simulation.contact import Creep, Receptors, add_vibration, press, spread_force
+from pipeline.simulation.contact import Creep, Receptors, add_vibration, press_skin, spread_force
 from pipeline.simulation.handwriting import Motion
 from pipeline.simulation.pen import START_S, PenPoint, Writing
 
@@ -28,7 +28,7 @@ def cuts(n, seed=0):
 
 def test_the_film_piece_by_piece_is_the_film_at_once():
     motion = swipe()
-    _, whole, felt_speed = press(motion, np.ones(100), -1.0, P.skin)  # every taxel
+    _, whole, felt_speed = press_skin(motion, np.ones(100), -1.0, P.skin)  # every taxel
     speed = np.hypot(np.gradient(motion.down, STEP), np.gradient(motion.right, STEP))
     np.testing.assert_allclose(felt_speed, speed)
     Creep(100, STEP, P.skin).advance(whole)

@@ -66,8 +66,8 @@ def test_what_ran_before_in_the_process_makes_no_difference(images, weights):
         for before in (1, 2):
             np.random.seed(before)  # noqa: NPY002 - the global state is what is tested
             tf.random.set_seed(before)
-            outputs.append(nengodl.run(settings, weights, images, 6, batch=N))
-        other = nengodl.run(replace(settings, seed=1), weights, images, 6, batch=N)
+            outputs.append(nengodl.run_network(settings, weights, images, 6, batch=N))
+        other = nengodl.run_network(replace(settings, seed=1), weights, images, 6, batch=N)
     np.testing.assert_array_equal(*outputs)
     assert np.any(other != outputs[0])  # the neurons' first voltages are the seed's
 
@@ -75,7 +75,7 @@ def test_what_ran_before_in_the_process_makes_no_difference(images, weights):
 def test_the_spiking_network_in_nengodl_is_near_its_rate_version(images, weights):
     settings = settings_of("paper")
     rates = TrainedRates(settings, weights).compute_logits(images)
-    spiking = nengodl.run(settings, weights, images, 600, batch=N)[:, 100:].mean(1)
+    spiking = nengodl.run_network(settings, weights, images, 600, batch=N)[:, 100:].mean(1)
     assert np.abs(spiking - rates).mean() < 0.12 * rates.std()
     assert np.corrcoef(spiking.ravel(), rates.ravel())[0, 1] > 0.98
 

@@ -6,7 +6,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from deploy.network.rehearsal import Rehearsal
 from pipeline.training.adaptation import refit as refit_module
-from pipeline.training.adaptation.refit import Person, refit, round_to_8_bits
+from pipeline.training.adaptation.refit import Person, fit_readout, round_to_8_bits
 
 CLASSES, INPUTS = 4, 12
 
@@ -41,7 +41,7 @@ def test_a_person_who_differs_is_told_better_and_others_nearly_as_well(world):
     rng, centres, weights, bias, kept = world
     own = centres.copy()
     own[1] = 0.75 * centres[2] + 0.25 * centres[1] + 0.7 * rng.standard_normal(INPUTS)
-    fit = refit(weights, bias, person_of(rng, own, 6), kept)
+    fit = fit_readout(weights, bias, person_of(rng, own, 6), kept)
     assert fit.helps
     np.testing.assert_allclose(round_to_8_bits(fit.weights), fit.weights)
     assert fit.after.mean() > fit.before.mean()
@@ -56,7 +56,7 @@ def test_a_person_who_differs_is_told_better_and_others_nearly_as_well(world):
 
 def test_a_person_like_everybody_gets_nothing_new(world):
     rng, centres, weights, bias, kept = world
-    fit = refit(weights, bias, person_of(rng, 2 * centres, 5), kept)
+    fit = fit_readout(weights, bias, person_of(rng, 2 * centres, 5), kept)
     assert fit.before.all()
     assert not fit.helps
 
@@ -65,13 +65,13 @@ def test_labels_drawn_at_random_do_not_help(world):
     rng, centres, weights, bias, kept = world
     person = person_of(rng, centres, 5)
     mixed = Person(person.responses, rng.permutation(person.labels), person.copies)
-    assert not refit(weights, bias, mixed, kept).helps
+    assert not fit_readout(weights, bias, mixed, kept).helps
 
 
 def test_the_same_seed_gives_the_same_weights_and_labels_may_be_few(world):
     rng, centres, weights, bias, kept = world
     person = person_of(rng, centres[::-1], 1)
-    one, other = (refit(weights, bias, person, kept, seed=3) for _ in range(2))
+    one, other = (fit_readout(weights, bias, person, kept, seed=3) for _ in range(2))
     np.testing.assert_array_equal(one.weights, other.weights)
     assert len(one.after) == CLASSES
 
@@ -111,9 +111,9 @@ def test_many_neurons_change_in_the_directions_that_vary():
         silent = np.zeros((*array.shape[:-1], 280))
         return np.concatenate([array, silent], axis=-1)
 
-    few = refit(centres, bias, person, kept)
+    few = fit_readout(centres, bias, person, kept)
     wide = Person(padded(person.responses), person.labels, padded(person.copies))
-    many = refit(padded(centres), bias, wide, Rehearsal(padded(kept.responses), kept.labels))
+    many = fit_readout(padded(centres), bias, wide, Rehearsal(padded(kept.responses), kept.labels))
     np.testing.assert_allclose(many.weights[:, :INPUTS], few.weights, atol=0.05)
     assert not many.weights[:, INPUTS:].any()
 
@@ -150,6 +150,6 @@ def test_it_computes_in_one_thread(world, monkeypatch):
 
     monkeypatch.setattr(refit_module, "minimize", watched)
     with threadpool_limits(2, user_api="blas"):
-        refit(weights, bias, person_of(rng, centres, 2), kept)
+        fit_readout(weights, bias, person_of(rng, centres, 2), kept)
     assert threads
     assert set.union(*threads) == {1}

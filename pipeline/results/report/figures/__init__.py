@@ -19,7 +19,7 @@ FORMATS = ("png", "svg", "pdf")
 SHADES = LinearSegmentedColormap.from_list("events", ["#ffffff", find_colour("on")])
 
 
-def format_of(path: Path) -> str:
+def find_format(path: Path) -> str:
     """The format of a picture, from its name.
 
     Raises
@@ -72,7 +72,7 @@ def find_lacking(characters, file) -> set:
     return {c for c in characters if c.isprintable() and not font.get_char_index(ord(c))}
 
 
-def save(figure, path: Path, dpi: int = 120):
+def save_figure(figure, path: Path, dpi: int = 120):
     """Write a figure in the format of its file's name.
 
     Parameters
@@ -92,6 +92,6 @@ def save(figure, path: Path, dpi: int = 120):
     with warnings.catch_warnings():
         # A class may have a name in any script; what no font has is drawn as a box.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
-        figure.savefig(buffer, format=format_of(path), dpi=dpi)
+        figure.savefig(buffer, format=find_format(path), dpi=dpi)
     with replacing(path) as file:
         file.write(buffer.getvalue())

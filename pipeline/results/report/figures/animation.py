@@ -11,7 +11,7 @@ from deploy.network.provenance import read_classes, read_positions
 from deploy.tables import shorten_name
 from pipeline.look import find_colour
 from pipeline.results.report.figures import SHADES
-from pipeline.results.report.samples import replay
+from pipeline.results.report.samples import replay_samples
 
 # Number of frames, and the duration of each and of the last one in milliseconds.
 FRAMES = 48
@@ -76,7 +76,7 @@ class _Animation:
     def __init__(self, bundle, index):
         spec = bundle.spec
         self._spec = spec
-        self._played = replay(bundle, [index], bundle.seed)[index]
+        self._played = replay_samples(bundle, [index], bundle.seed)[index]
         self._label = int(bundle.checks.labels[index])
         self._classes = read_classes(spec)
         self._names = [shorten_name(name, MAX_PREDICTION_LENGTH) for name in self._classes]

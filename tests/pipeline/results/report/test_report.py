@@ -19,8 +19,8 @@ from deploy.targets.registry import run_target
 from pipeline.results.report import page as report
 from pipeline.results.report import prose
 from pipeline.results.report.figures import animation
-from pipeline.results.report.gather import gather
-from pipeline.results.report.samples import choose_samples, replay
+from pipeline.results.report.gather import gather_report_data
+from pipeline.results.report.samples import choose_samples, replay_samples
 from pipeline.settings import format_automatic
 from pipeline.storage.run_folder import RunFolder
 from tests.command import call
@@ -37,7 +37,7 @@ def html(tiny_run, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def inputs(tiny_run):
-    return gather(RunFolder(tiny_run))
+    return gather_report_data(RunFolder(tiny_run))
 
 
 class Outline(HTMLParser):
@@ -118,11 +118,11 @@ def test_what_is_wrong_with_the_recordings_is_said(inputs):
     bundle = inputs.bundle
     provenance = {**bundle.spec.provenance, "warnings": ["3 of 9 are cut"]}
     changed = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
-    assert "3 of 9 are cut" in report.render(replace(inputs, bundle=changed))
+    assert "3 of 9 are cut" in report.render_report(replace(inputs, bundle=changed))
 
 
 def test_a_setting_that_the_program_chooses_is_listed_as_automatic(inputs):
-    page = report.render(inputs)
+    page = report.render_report(inputs)
     values = dict(re.findall(r"<dt>([\w.]+)</dt><dd>(.*?)</dd>", page))
     assert values["skin.rows"] == "automatic (0)"
     assert format_automatic("data.time_unit", "") == "automatic"
@@ -156,7 +156,7 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     bundle = read_bundle(tiny_run / "bundle")
     spec = bundle.spec.with_presentation(steps=12, gap=0, readout_start=3, stream_length=2)
     counted = run_target(spec, bundle.checks.inputs[:4], "emulator").spikes
-    played = replay(replace(bundle, spec=spec), [3, 2])
+    played = replay_samples(replace(bundle, spec=spec), [3, 2])
     assert list(played) == [3, 2]
     for index, sample in played.items():
         assert sample.probabilities.shape == (9, 10)
