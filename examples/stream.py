@@ -27,7 +27,7 @@ import stmnist
 # Seconds between two looks at the clock, less than a network's step.
 TICK_S = 0.002
 
-# Seconds between two recordings that are played, beside the silence that ends a touch.
+# Seconds between two recordings that are played, in addition to the silence that ends a touch.
 PAUSE_S = 0.2
 
 # Largest datagram of UDP in bytes.

@@ -9,7 +9,7 @@ from deploy.terminal import remark, show
 # Experiments that are no list of cases: module, what it does, expected time.
 OTHERS = {
     "adapt": ("adapt", "The gain of fitting a network to a person", "30 min"),
-    "speed": ("speed", "fast and FastSimulator beside NengoLoihi's emulator", "5 min"),
+    "speed": ("speed", "fast and FastSimulator compared with NengoLoihi's emulator", "5 min"),
     "growth": ("growth", "Time and memory of a training, by the number of recordings", "40 min"),
     "stream": ("stream", "Latency of a running sensor's decisions, highest event rate", "4 min"),
     "recurrent": ("recurrent", "A recurrent network from snnTorch on the emulator", "15 min"),

@@ -60,8 +60,8 @@ STEP_SAMPLES = 30
 
 # Largest number of ways of writing a digit with an equal number of strokes, and the factor on their
 # variation, which the errors of the paths increase.  Chosen on four fifths of the real training
-# part: a kernel classifier of 1,000 simulated recordings has 0.751 on real ones without the factor,
-# and 0.766 with it.
+# part: a kernel classifier of 1,000 simulated recordings reaches 0.751 on real ones without the
+# factor, and 0.766 with it.
 MAX_ALLOGRAPHS = 24
 VARIATION_FACTOR = 0.7
 

@@ -1,4 +1,4 @@
-"""Classifiers without a network, which Table 2 has beside the networks.
+"""Classifiers without a network, which Table 2 compares with the networks.
 
 Both see the square roots of the numbers of events of each taxel and polarity in equal slices of
 time, as :mod:`pipeline.kinds.counts` does.  They were chosen in cross-validation on the training

@@ -29,7 +29,7 @@ from pipeline.live.network import SHIPPED
 TARGET_MS = 20.0
 TARGET_SHARE = 0.99
 
-# Seconds between two samples, beside the silence that ends a touch.
+# Seconds between two samples, in addition to the silence that ends a touch.
 PAUSE_S = 0.1
 
 # Time in seconds between two looks at the clock while no event is due.

@@ -283,7 +283,7 @@ def _choose_scale(link, largest, levels, unit, chip):
     scale = units_per_weight / max(units, 1)
     if largest > 1.5 * levels * scale:
         raise UserError(
-            f"{link}: its weights are too large beside its threshold for the chip's integers, "
+            f"{link}: its weights are too large relative to its threshold for the chip's integers, "
             f"{largest:.3g} of it; scale the weights or the threshold in training"
         )
     return scale
@@ -305,8 +305,8 @@ def _choose_threshold(link, scale, exponents, chip) -> tuple:
         if 0 < threshold <= chip.max_threshold and np.abs(bias).max() <= chip.max_bias:
             return threshold, exponent
     raise UserError(
-        f"{link}: its weights are too small beside its threshold for the chip's integers, or its "
-        "biases too large; scale weights and threshold in training, or use shorter time constants"
+        f"{link}: its weights are too small relative to its threshold for the chip's integers, or "
+        "its biases too large; scale weights and threshold in training, or use shorter time constants"
     )
 
 

@@ -1,7 +1,7 @@
-"""Windows of a network from elsewhere as those of the chip's convolution.
+"""Represent the windows of an imported network as those of the chip's convolution.
 
 The chip's convolution has a square kernel and equal strides.  A smaller kernel gets zeros at its
-edges, so that groups, dilation, averaging beside it and other paddings have this form, too.
+edges, so that groups, dilation, average pooling next to it and other paddings have this form, too.
 """
 
 import math

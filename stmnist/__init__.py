@@ -4,8 +4,8 @@ Each name is loaded from its module on first use, after the plugins (:mod:`deplo
 import therefore takes almost no time, and TensorFlow is imported only by code that trains.
 
 This distribution's own packages have common names: ``deploy``, ``models`` and ``pipeline``.  A file
-``models.py`` beside a notebook or script would be found before ours, and our modules that import
-``models`` would fail.  Therefore this module first binds the three names to the packages beside
+``models.py`` next to a notebook or script would be found before ours, and our modules that import
+``models`` would fail.  Therefore this module first binds the three names to the packages next to
 this one, independently of Python's search path, in this process and in its workers.  For a user's
 own file with such a name this has these consequences:
 
@@ -21,7 +21,7 @@ import importlib.util
 import os
 import sys
 
-# Packages of this distribution, beside this one.
+# Packages of this distribution, in addition to this one.
 PACKAGES = ("deploy", "models", "pipeline")
 
 # Public names in three groups, in the order of use, each with the module that has it.
@@ -62,7 +62,7 @@ __all__ = sorted(_MODULE_OF)
 
 
 def bind():
-    """Bind the names of `PACKAGES` to the folders beside this one; done on import.
+    """Bind the names of `PACKAGES` to the folders next to this one; done on import.
 
     A second call changes nothing.
 

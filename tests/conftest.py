@@ -93,7 +93,7 @@ def own_cache(shared_folder):
 def shared_data():
     """Folder with the data of development, which is no part of the repository."""
     if not DATA.is_dir():
-        pytest.skip("the development data (shared/data beside the repository) is not here")
+        pytest.skip("the development data (shared/data next to the repository) is not here")
     return DATA
 
 

@@ -100,8 +100,8 @@ def _describe_hardware(result):
     if "power" in result:
         power = result["power"]
         text += (
-            f"\nmeasured power: {power['dynamic_mw']:.3g} mW beside {power['static_mw']:.3g} mW "
-            f"when idle, {power['step_microseconds']:.3g} us a step"
+            f"\nmeasured power: {power['dynamic_mw']:.3g} mW, in addition to "
+            f"{power['static_mw']:.3g} mW when idle, {power['step_microseconds']:.3g} us a step"
         )
     return text
 

@@ -14,7 +14,7 @@ TRAINING_RECORDINGS = "training_recordings"
 
 
 class NetworkProvenance(dict):
-    """How a network was made: entries by their names in the bundle.
+    """Records how a network was made: entries by their names in the bundle.
 
     Entries that this version does not know stay as they are.
 

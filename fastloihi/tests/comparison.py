@@ -73,7 +73,7 @@ class Outcome(collections.namedtuple("Outcome", "warnings error")):
 
 
 class Both(EmulatorInterface):
-    """NengoLoihi's emulator, with the fast one beside it and compared after every call.
+    """NengoLoihi's emulator, compared with the fast one after every call.
 
     In place of NengoLoihi's class, for tests that are not ours.  Both read one model: what one
     of them changes there, spikes of inputs and weights that are learned, is kept for each.

@@ -1,4 +1,4 @@
-"""`FastSimulator` and `accelerate` beside NengoLoihi's `Simulator`, on whole networks."""
+"""`FastSimulator` and `accelerate` compared with NengoLoihi's `Simulator`, on whole networks."""
 
 from __future__ import annotations
 

@@ -63,13 +63,13 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
 
 
 def _find_default_folder(run, bundle, who):
-    """The folder of the new bundle: in the run, or beside a bundle without a run."""
-    beside = run / "adapted"
+    """The folder of the new bundle: in the run, or next to a bundle without a run."""
+    parent = run / "adapted"
     if bundle.path == run:
         alone = run.absolute()
-        beside = alone.with_name(f"{alone.name}-adapted")
-    refuse_linked_folder(beside)
-    return beside / who
+        parent = alone.with_name(f"{alone.name}-adapted")
+    refuse_linked_folder(parent)
+    return parent / who
 
 
 def _summarise(adapted, folder, samples, trained_on):

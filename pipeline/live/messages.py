@@ -29,7 +29,7 @@ from pipeline.simulation.pen import MARGIN, START_S
 MAX_POINTS = 512
 
 # Maximum number of taxels of a skin to write on: with more, the simulation would take too long
-# beside the page and its network (0.15 s of processor time per second for this number).
+# in addition to the page and its network (0.15 s of processor time per second for this number).
 MAX_TAXELS = 4096
 
 

@@ -1,4 +1,4 @@
-"""Models in files, made by either Keras: with its predictions beside them.
+"""Models in files, made by either Keras: with its predictions next to them.
 
     python keras_models.py FOLDER OTHER_FOLDER
 

@@ -18,7 +18,7 @@ from pipeline.recordings.dataset import Dataset
 from pipeline.settings import Settings
 
 # Minimum accuracy of a user's model, as a share of the range from chance to 1. The best of 30
-# networks of three layers with Keras's initial weights had 0.06 by chance, on ten classes.
+# networks of three layers with Keras's initial weights reached 0.06 by chance, on ten classes.
 MIN_KNOWN_SHARE = 0.15
 
 # Maximum number of training samples on which normalisations of images are compared.

@@ -64,8 +64,8 @@ def find_class_folders(path: Path, recordings: list) -> ClassFolders:
     validation = [top for top in tops if top.lower() in VALIDATION]
     if is_published and validation:
         raise UserError(
-            f"{path}: has a folder {validation[0]!r} beside train and test; move its recordings to "
-            "train, from which validation samples are drawn, or move it away"
+            f"{path}: has a folder {validation[0]!r} next to train and test; move its recordings "
+            "to train, from which validation samples are drawn, or move it away"
         )
     labels = [label for label in map(read_label, recordings) if label is not None]
     n_numbers = sum(label.isdecimal() for label in labels)

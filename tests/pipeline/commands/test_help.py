@@ -11,7 +11,7 @@ from tests.command import ROOT, environment, printed_by
 
 @pytest.mark.parametrize("verb", make_command_line().commands.values(), ids=lambda verb: verb.name)
 def test_the_list_says_of_a_verb_what_its_own_help_begins_with(verb):
-    """In the one it is kept beside the name, so that no module is imported to list it."""
+    """In the one it is kept next to the name, so that no module is imported to list it."""
     assert " ".join(verb.command.help.partition("\n\n")[0].split()) == verb.help
 
 

@@ -124,7 +124,7 @@ def test_recordings_of_another_sensor_are_not_mixed_with_these(keeper):
         Keeper(keeper.folder, Sensor(9, 12))
     with closing(Keeper(keeper.folder)) as again:  # nothing holds the folder
         assert len(again) == 1
-    (keeper.folder / "3" / "own.npz").touch()  # which no command reads beside .mat
+    (keeper.folder / "3" / "own.npz").touch()  # which no command reads together with .mat
     (keeper.folder / ".lock").unlink()
     with pytest.raises(UserError, match=r"own.npz.*--record"):
         Keeper(keeper.folder)

@@ -184,7 +184,7 @@ def test_classes_that_are_called_train_and_test(tmp_path):
 @pytest.mark.parametrize(
     ("more", "fact"),
     [
-        ({"val/a/0.npz": strip()}, "'val' beside train and test"),
+        ({"val/a/0.npz": strip()}, "'val' next to train and test"),
         ({"other/a/0.npz": strip()}, "other/a/0.npz is neither in train nor in test"),
         ({"test/x.npz": strip()}, "test/x.npz is not in a folder of a class"),
     ],

@@ -88,7 +88,7 @@ def test_it_is_complete_and_needs_nothing_else(html, tiny_run):
         assert f"{100 * read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.1f} %" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text
-    # Each sample among its class's, and some again beside their spikes.
+    # Each sample among its class's, and some again next to their spikes.
     stories = page.count('class="story"')
     assert 0 < stories < len(bundle.checks)
     assert page.count('class="thumb"') == len(bundle.checks) + stories
