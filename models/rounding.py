@@ -306,7 +306,8 @@ def _choose_threshold(link, scale, exponents, chip) -> tuple:
             return threshold, exponent
     raise UserError(
         f"{link}: its weights are too small relative to its threshold for the chip's integers, or "
-        "its biases too large; scale weights and threshold in training, or use shorter time constants"
+        "its biases too large; scale weights and threshold in training, or use shorter time "
+        "constants"
     )
 
 

@@ -61,7 +61,7 @@ def assert_deployed_operation_conforms(operation: DeployedOperation, input_shape
 
 
 def _assert_pooled(layer, rng):
-    """The same with a pooling before the layer, also with an input outside of complete windows."""
+    """Require the same with pooling, also with an input outside of complete windows."""
     rows, columns, channels = layer.input_shape
     complete = replace(layer, input_shape=(2 * rows, 2 * columns, channels), pool=2)
     larger = replace(complete, input_shape=(2 * rows + 1, 2 * columns + 1, channels))
@@ -99,7 +99,7 @@ def assert_same_operation(operation, other, input_shape, loss):
 
 
 def _assert_meaning(operation, input_shape, rng):
-    """Its sums are linear, and its synapses are those of its sums."""
+    """Require linear sums, and synapses that are those of the sums."""
     shape = operation.compute_shape(input_shape)
     assert len(shape) in (1, 3), f"shape {shape}: needs one or three dimensions"
     assert all(type(side) is int and side >= 1 for side in shape), f"shape {shape}"
@@ -131,7 +131,7 @@ def _assert_meaning(operation, input_shape, rng):
 
 
 def _assert_written(operation, input_shape):
-    """A bundle has its numbers; return the operation that is read from it."""
+    """Require that a bundle has its numbers; return the operation that is read from it."""
     cls = DEPLOYED_OPERATIONS[operation.kind]
     read = cls.from_file(operation.to_file(), operation.compute_shape(input_shape))
     assert type(read) is cls
@@ -140,14 +140,14 @@ def _assert_written(operation, input_shape):
 
 
 def _assert_layer_written(layer):
-    """A bundle has the layer, and its own values have other names than the operation's numbers."""
+    """Require that a bundle has the layer, with distinct names of its own values."""
     arrays = {f"{layer.name}.{name}": getattr(layer, name) for name in layer.arrays}
     read = Layer.from_json(layer.to_json(), arrays, "layers[0]")
     assert read.to_json() == layer.to_json(), "the layer is read differently from a bundle"
 
 
 def _assert_built(layer, rng):
-    """Nengo computes its sums."""
+    """Require that Nengo computes its sums."""
     transform, inputs = layer.operation.make_transform(layer, LOIHI)
     values = rng.normal(size=layer.operation.count_fan_out(layer.input_shape).size)
     with nengo.Network() as network:
@@ -164,7 +164,7 @@ def _assert_built(layer, rng):
 
 
 def _assert_counted(layer, rng):
-    """A core needs no more than what is counted.
+    """Require that a core needs no more than what is counted.
 
     The memory is compared without pooling only: NengoLoihi needs more than is counted for a
     convolution that has zeros around its input and a pooling before it.

@@ -111,7 +111,7 @@ def make_busy_networks() -> Dict[str, Tuple[NetworkSpec, np.ndarray]]:
 
 
 def _assert_values(tried, title, spec, samples):
-    """Its outputs are those of the chip's integers, or about those of the equations."""
+    """Require outputs of the chip's integers, or about those of the equations."""
     stream = spec.flatten_samples(samples)
     run_expected = find_target("fast").run if tried.target.is_exact else run_reference
     tolerance = REAL_NUMBERS if tried.target.is_exact else tried.target.tolerance
@@ -174,7 +174,7 @@ class _Comparison:
 
 
 def _assert_streams(tried, spec, samples):
-    """Its output has the right shapes, and a stream begins with a fresh network."""
+    """Require output of the right shapes, and streams that begin with a fresh network."""
     flat = spec.flatten_samples(samples)
     streams = [flat[stream] for stream in spec.presentation.list_streams(len(flat))]
     outputs = list(tried.run(spec, streams))

@@ -156,7 +156,7 @@ ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.needs_bo
     ids=["max_rate", "77000", "77017", "77105"],
 )
 def test_what_no_integers_can_hold_is_refused_alike(spec):
-    """A spike of 1,000 makes such weights that the threshold rounds to 0: an AssertionError of one."""
+    """A spike of 1,000 makes weights with which the threshold rounds to 0: an AssertionError."""
     shape = spec.stimulus.find_sample_shape(spec.input_shape, spec.presentation.steps)
     lines = set()
     for run in (
