@@ -22,14 +22,18 @@ class _Middle:
         return np.zeros(size)
 
 
-def test_points_of_a_line_have_the_drawn_size_place_and_speed():
+def test_points_of_a_line_have_the_drawn_size_and_place():
     points = pens.make_points(LINE, _Middle(), (10, 10))
-    height, speed = 7.25, 29.0
-    seconds = height / speed
+    height = 7.25
     assert [point.down for point in points] == pytest.approx(
         [4.5 - height / 2, 4.5, 4.5 + height / 2, 4.5 + height / 2]
     )
     assert {point.right for point in points} == {4.5}
+
+
+def test_points_of_a_line_have_the_drawn_speed():
+    points = pens.make_points(LINE, _Middle(), (10, 10))
+    seconds = 7.25 / 29.0  # height over speed
     assert [point.time_s - START_S for point in points] == pytest.approx(
         [0, seconds / 2, seconds, seconds]
     )

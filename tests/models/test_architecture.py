@@ -34,7 +34,7 @@ def test_what_the_papers_network_costs_by_hand():
     assert cnn.parameters == 16 * 6 + 6 + 9 * 6 * 24 + 24 + 600 * 10 + 10
 
 
-def test_strides_padding_pooling_and_dense_layers():
+def test_a_notation_with_every_operation():
     network = parse("10x10x2-12c4s2p-2a-64-10o")
     assert network.layers == (
         Convolution(12, 4, 2, "same"),
@@ -44,6 +44,9 @@ def test_strides_padding_pooling_and_dense_layers():
     )
     assert network.shapes == ((10, 10, 2), (5, 5, 12), (2, 2, 12), (64,), (10,))
     assert network.names == ("conv1", "pool1", "dense1", "output")
+
+
+def test_layers_are_numbered_by_operation():
     assert parse("10x10-2c3-2a-2c2-2a-4-5-3o").names == (
         "conv1", "pool1", "conv2", "pool2", "dense1", "dense2", "output",
     )  # fmt: skip

@@ -89,12 +89,18 @@ def test_nothing_is_done_twice_and_no_checkpoint_is_left(run_on_events):
     assert not (run_on_events / "snn" / "checkpoint.npz").exists()
 
 
-def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
+def test_the_network_fits_on_the_chip(run_on_events, capsys):
     assert call("deploy", "plan", run_on_events / "bundle", "--json") == 0
     plan = json.loads(capsys.readouterr().out)
     assert plan["problems"] == []
+
+
+def test_energies_are_called_estimates(run_on_events, capsys):
     assert call("deploy", "energy", run_on_events / "bundle") == 0
     assert "ESTIMATE" in capsys.readouterr().out
+
+
+def test_the_report_is_that_of_a_network_on_events(run_on_events, tmp_path):
     page = tmp_path / "report.html"
     assert call("report", run_on_events, "--out", page) == 0
     text = page.read_text(encoding="utf-8")

@@ -67,14 +67,21 @@ def test_the_targets_are_near_each_other(tiny_run):
     assert np.abs(scores["simreal"] - scores["emulator"]).mean() < 0.35 * spread
 
 
-def test_the_ladder_is_printed_and_saved_and_nothing_is_done_twice(tiny_run, capsys):
-    folders = [tiny_run / name for name in ("cnn", "snn", "bundle", "checks")]
-    before = {p: p.stat().st_mtime_ns for folder in folders for p in folder.iterdir()}
+def test_the_ladder_is_printed(tiny_run, capsys):
     assert call("ladder", tiny_run) == 0
     lines = capsys.readouterr().out.strip().splitlines()
     assert missing(lines[0], "20", "simulated") == []
     assert [line.split()[0] for line in lines[2 : 2 + len(STAGES)]] == STAGES
+
+
+def test_a_ladder_does_nothing_twice(tiny_run):
+    folders = [tiny_run / name for name in ("cnn", "snn", "bundle", "checks")]
+    before = {p: p.stat().st_mtime_ns for folder in folders for p in folder.iterdir()}
+    assert call("ladder", tiny_run) == 0
     assert {p: p.stat().st_mtime_ns for p in before} == before
+
+
+def test_the_ladder_is_saved_as_it_is_printed(tiny_run, capsys):
     assert call("ladder", tiny_run, "--json") == 0
     assert json.loads(capsys.readouterr().out) == read_json(tiny_run / "ladder.json", "")
 

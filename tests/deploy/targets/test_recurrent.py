@@ -59,13 +59,16 @@ def test_spikes_come_back_one_step_later(target):
     assert 28 <= spikes[1.0] <= 30
 
 
-def test_operations_and_the_plan_count_the_loop():
+def test_operations_count_the_loop():
     spec = recurrent_spec()
     spikes = {"input": np.ones((1, 24)), "dense1": np.ones((1, 12))}
     counted = spec.count_synaptic_operations(spikes)
     assert counted["dense1"].tolist() == [24 * 12 + 12 * 12]
     assert spec.multiply_accumulates["dense1"] == 24 * 12 + 12 * 12
-    plan = make_plan(spec)
+
+
+def test_the_plan_counts_the_loop():
+    plan = make_plan(recurrent_spec())
     assert plan.problems == []
     (core,) = [core for core in plan.cores if core.layer == "dense1"]
     assert core.used["input axons"] == 24 + 12

@@ -114,12 +114,15 @@ def test_the_ladder_has_the_commands_values(run):
         ladder["chip"]
 
 
-def test_a_check_has_arrays_and_its_stages_are_known(run):
+def test_a_check_has_arrays(run):
     result = run.check("fast")
     assert result.accuracy == np.mean(result.labels == result.predictions)
     assert result.confusion.sum() == len(result) == 10
     assert result.to_dict()["target"] == "fast"
     assert is_one_line(result)
+
+
+def test_the_stages_of_a_check_are_known(run):
     assert run.check("trained").target == "trained"
     with pytest.raises(UserError, match="no stage or target 'chip'; they are counts"):
         run.check("chip")
@@ -187,28 +190,41 @@ def _number(name):
     return int(name.rpartition("/")[2])
 
 
-def test_plan_energy_report_and_replay(run):
+def test_the_plan_of_a_run(run):
     plan = run.plan()
     assert plan.fits
     assert plan.cores == len(plan.to_dict()["cores"])
     assert "compartments" in plan._repr_html_()
     assert is_one_line(plan)
+
+
+def test_the_energy_of_a_run(run):
     energy = run.energy()
     assert energy.estimate.chip_joules > 0
     assert is_one_line(energy)
     assert "uJ" in repr(energy)
+
+
+def test_a_run_writes_its_report(run):
     assert run.report().is_file()
+
+
+def test_a_run_replays_samples(run):
     assert list(run.replay([3])) == list(run.replay(3)) == [3]
 
 
-def test_an_existing_run_keeps_its_settings_and_trains_nothing_again(run):
+def test_an_existing_run_keeps_its_settings(run):
     again = Run(run.path, quiet=True)
     assert again.settings.events.epochs == 6
+    assert len(again.recordings) == 60
+    assert len(again.dataset.split.test) >= 10
+
+
+def test_an_existing_run_trains_nothing_again(run):
+    again = Run(run.path, quiet=True)
     assert again.train().networks["threshold"]["epochs"] == 6
     assert any("up to date" in note for note in again.notes)
     assert "events" in repr(again)
-    assert len(again.recordings) == 60
-    assert len(again.dataset.split.test) >= 10
 
 
 @pytest.mark.parametrize(("changes", "fact"), [

@@ -28,17 +28,30 @@ def test_options_and_settings_of_the_simulation_are_the_same(tmp_path):
     assert one.read_bytes() == other.read_bytes()
 
 
-def test_simulated_zip_is_read_back_and_counted(archive, capsys):
+def test_a_simulated_zip_is_read_back(archive):
     recordings = read_source(archive, jobs=1)
     assert recordings.source.simulated
     assert len(recordings) == 30
+
+
+def read_statistics(archive, capsys):
     assert call("data", "stats", "--data", archive, "--json", "--jobs", 1) == 0
-    stats = json.loads(capsys.readouterr().out)
+    return json.loads(capsys.readouterr().out)
+
+
+def test_statistics_count_samples_and_taxels(archive, capsys):
+    stats = read_statistics(archive, capsys)
     assert stats["simulated"] is True
     assert stats["samples"] == 30
     assert list(stats["classes"]) == [str(digit) for digit in range(10)]
-    row = stats["classes"]["4"]
+    assert len(stats["taxels"]["each"]) == 100
+    assert stats["polarity_order"]["rise_first"] > 0.9
+
+
+def test_statistics_of_a_class_are_those_of_its_events(archive, capsys):
+    row = read_statistics(archive, capsys)["classes"]["4"]
     assert row["samples"] == 3
+    recordings = read_source(archive, jobs=1)
     events = recordings.events
     on = [
         events.columns[part][events.polarity[part] > 0].sum()
@@ -47,8 +60,6 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
     ]
     assert row["on"] == pytest.approx([np.mean(on), np.std(on, ddof=1)])
     assert {"off", "row_mean", "column_mean", "row_range", "column_range"} < set(row)
-    assert len(stats["taxels"]["each"]) == 100
-    assert stats["polarity_order"]["rise_first"] > 0.9
 
 
 def test_files_that_cannot_be_read_are_left_out_of_statistics_and_figures(tmp_path, capsys):

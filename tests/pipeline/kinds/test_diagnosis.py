@@ -90,15 +90,18 @@ def test_a_layer_against_its_own_rates_is_perfect():
         assert layer["chip"] == layer["rate_network"]
 
 
-def test_a_runs_metrics_and_ladder_hold_the_diagnosis(tiny_run):
+def test_a_runs_metrics_hold_the_shares_of_its_neurons(tiny_run):
     neurons = read_json(tiny_run / "snn" / "metrics.json", "")["neurons"]
     assert set(neurons) == {"conv1", "conv2"}
     assert all(set(layer) == {"silent", "saturated"} for layer in neurons.values())
+
+
+def test_a_runs_ladder_holds_the_diagnosis(tiny_run):
     ladder = read_json(tiny_run / "ladder.json", "")
     assert [layer["layer"] for layer in ladder["layers"]] == ["conv1", "conv2"]
     # Activations and firing rates are of the same neurons in the same order, or this is near 0.
     assert all(layer["correlation"] > 0.6 for layer in ladder["layers"])
-    assert ladder["least_faithful_layer"] in neurons
+    assert ladder["least_faithful_layer"] in {"conv1", "conv2"}
     assert ladder["bundle"] == read_result(tiny_run / "checks" / "emulator.json")["bundle"]
 
 

@@ -44,7 +44,7 @@ def recordings(rows, columns, duration_ms=400):
     return join_recordings([events] * n, labels, ids, [-1] * n, source, taxels, sensor)
 
 
-def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
+def test_a_strip_gets_channels_of_polarities_in_slices_of_time():
     changes, lines = choose(settings(), recordings(1, 30))
     assert changes["cnn"] == {"architecture": "1x30x16-256-3o"}
     image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}

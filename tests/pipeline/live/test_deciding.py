@@ -47,7 +47,7 @@ def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, r
         assert counts == {name: n[index] for name, n in expected.spikes.items()}
 
 
-def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recordings):
+def test_it_decides_on_part_of_a_recording(decider, recordings):
     events = recordings[0]
     part = Events(*(getattr(events, n)[:40] for n in ("time_ns", "taxel", "polarity", "columns")))
     said = decider.begin().compute_output(part, 0.5)
@@ -56,6 +56,9 @@ def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recording
     assert said.curve.find_last().confidence == pytest.approx(shares.max(), abs=1e-3)
     assert said.decided is None
     assert 0 <= said.curve.find_last().label <= 9
+
+
+def test_it_decides_nothing_without_events(decider):
     assert decider.begin().compute_output(Events(*(np.empty(0),) * 4), 0.2) is None
 
 

@@ -63,16 +63,23 @@ def write(page, **options):
         page.send(json.dumps(message))
 
 
-def test_the_page_and_its_parts_are_there_with_what_browsers_heed(server):
-    status, headers, body = get(server)
+def test_the_page_has_the_elements_of_the_contract(server):
+    status, _, body = get(server)
     assert status == 200
     for name in ("skin", "decision", "confidence", "clear", "saved"):
         assert f'id="{name}"' in body
+
+
+def test_the_page_tells_browsers_what_to_heed(server):
+    _, headers, _ = get(server)
     policy = headers["content-security-policy"]
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
     assert headers["cache-control"] == "no-store"
     assert headers["referrer-policy"] == "no-referrer"
+
+
+def test_the_page_s_parts_are_there(server):
     _, own = parts(server)
     for name, kind in (("main.js", "javascript"), ("page.css", "css"), ("icon.svg", "svg")):
         status, headers, _ = get(server, own + name)

@@ -54,13 +54,15 @@ def paused(session, lifted_ms=1300.0):
     return say(session, {"type": "pen", "now": lifted_ms + 1000 * PAUSE_S + 1, "points": []})
 
 
-def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
-    replies = written(session)
-    events = of(replies, "events")
+def test_events_come_while_writing(session):
+    events = of(written(session), "events")
     assert sum(bool(reply["ns"]) for reply in events) > 5  # not all at the end
     assert not events[-1]["settled"]
-    replies += paused(session)
-    assert of(replies, "events")[-1]["settled"]
+    assert of(paused(session), "events")[-1]["settled"]
+
+
+def test_the_events_of_the_page_are_those_that_are_kept(session, keeper):
+    replies = [*written(session), *paused(session)]
     replies += say(session, {"type": "label", "label": 1})
     saved = of(replies, "saved")[0]
     read = read_recording((keeper.folder / saved["name"]).read_bytes())
@@ -240,10 +242,12 @@ def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keep
 LINE = Events(205_000_000 + 20_000_000 * np.arange(40), np.arange(40), [1, -1] * 20, [1] * 40)
 
 
-def test_an_example_goes_its_own_pace_and_is_kept_no_second_time(session, keeper):
+ASK_FOR_EXAMPLE = {"type": "example", "now": 5000.0, "label": 7}
+
+
+def test_an_example_goes_its_own_pace(session):
     assert session.set_examples([Example(LINE, 7, "7/0001")])["counts"] == [0] * 7 + [1, 0, 0]
-    ask = {"type": "example", "now": 5000.0, "label": 7}
-    begun = say(session, ask)[0]
+    begun = say(session, ASK_FOR_EXAMPLE)[0]
     assert begun["example"] == {"name": "7/0001", "label": 7}
     told = []
     for now in np.arange(5010.0, 6000.0, 50.0).tolist():
@@ -252,13 +256,20 @@ def test_an_example_goes_its_own_pace_and_is_kept_no_second_time(session, keeper
         assert told == [ns for ns in LINE.time_ns.tolist() if ns < 1e6 * (now - 5000) + 2e8]
     assert part["settled"]
     assert session.make_output_task()()["events"] == 40
+
+
+def test_an_example_is_kept_no_second_time(session, keeper):
+    session.set_examples([Example(LINE, 7, "7/0001")])
+    say(session, ASK_FOR_EXAMPLE)
+    for now in np.arange(5010.0, 6000.0, 50.0).tolist():
+        say(session, {"type": "pen", "now": now, "points": []})
     assert of(say(session, {"type": "label", "label": 7}), "problem")
     assert len(keeper) == 0
     start = stroke(start_ms=9000.0)
     assert of([r for m in start for r in say(session, m)], "cleared")
     assert of(say(session, {"type": "label", "label": 1}), "saved")
-    assert say(session, {**ask, "label": None})[0]["example"]["label"] == 7
-    assert of(say(session, {**ask, "label": 3}), "problem")
+    assert say(session, {**ASK_FOR_EXAMPLE, "label": None})[0]["example"]["label"] == 7
+    assert of(say(session, {**ASK_FOR_EXAMPLE, "label": 3}), "problem")
 
 
 def test_a_sensor_of_ones_own(tmp_path):

@@ -110,18 +110,26 @@ def test_mixed_units(tmp_path):
     assert missing(line, "1 of 16 ", name, "time") == []
 
 
-def test_a_test_set_without_events_at_the_edge_and_with_one_polarity(tmp_path):
-    """The sensor is that of all recordings together, or the one that the user states."""
+@pytest.fixture
+def small_test_set(tmp_path):
+    """Recordings whose test set has no events at the edge, and one polarity."""
     train = {f"train/{name}": content for name, content in own().items()}
     inner = own(p=np.ones_like, x=lambda x: np.minimum(x, 8), y=lambda y: np.minimum(y, 6))
     test = {f"test/{name}": content for name, content in inner.items()}
     archive(tmp_path / "own.zip", {**train, **test})
-    read = read_source(tmp_path / "own.zip", jobs=1)
+    return tmp_path / "own.zip"
+
+
+def test_the_sensor_is_that_of_all_recordings_together(small_test_set):
+    read = read_source(small_test_set, jobs=1)
     assert (read.sensor.rows, read.sensor.columns) == (ROWS, COLUMNS)
     assert read.sensor.polarities == 2
     assert missing(read.source.remarks[0], "test in 7 x 9", f"{ROWS} x {COLUMNS} taxels") == []
+
+
+def test_the_sensor_is_the_one_that_the_user_states(small_test_set):
     stated = ReadingOptions(rows=16, columns=16)
-    read = read_source(tmp_path / "own.zip", jobs=1, reading=stated)
+    read = read_source(small_test_set, jobs=1, reading=stated)
     assert (read.sensor.rows, read.sensor.columns) == (16, 16)
 
 

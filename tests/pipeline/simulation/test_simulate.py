@@ -34,12 +34,18 @@ def test_same_seed_same_bytes_whatever_the_processes():
     assert bytes_of(simulate(1, counts, jobs=1)) == bytes_of(simulate(1, counts, jobs=2))
 
 
-def test_labels_ids_writers_and_source(recordings):
+def test_labels_and_ids_go_by_digit(recordings):
     np.testing.assert_array_equal(recordings.labels, np.repeat(np.arange(10), 8))
     assert recordings.ids[:2] == ("0/0000", "0/0001")
     assert recordings.ids[-1] == "9/0007"
+
+
+def test_writers_are_people_of_the_population(recordings):
     assert recordings.writers.min() >= 0
     assert recordings.writers.max() < parameters.DEFAULT_POPULATION.people
+
+
+def test_recordings_are_called_simulated(recordings):
     assert recordings.source.simulated
     assert "simulated" in recordings.source.name
     assert recordings.source == make_source(5, FEW)

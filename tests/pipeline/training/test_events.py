@@ -145,9 +145,13 @@ def test_outputs_arrive_a_step_later_for_the_relay_and_each_layer():
     np.testing.assert_array_equal(delay_as_on_chip(outputs[0, :2], DESIGN), np.zeros((2, 3)))
 
 
-def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altered(trained, data):
+def without_alteration(trained):
+    return replace(trained, design=replace(DESIGN, alteration=AUGMENTATIONS["none"]))
+
+
+def test_the_threshold_is_that_of_what_arrives(trained, data):
     table, labels, _ = data
-    none = replace(trained, design=replace(DESIGN, alteration=AUGMENTATIONS["none"]))
+    none = without_alteration(trained)
     # Not altered but for where in its first step a sample begins.
     step_ns = int(1e6 * DESIGN.step_ms)
     whole_ns = table.events.time_ns // step_ns * step_ns
@@ -160,6 +164,11 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
         estimator=trained.estimator,
     )
     assert none.choose_threshold(whole, labels, VALIDATION, 40, 0, 0.005) == pytest.approx(expected)
+
+
+def test_altered_samples_have_a_part_in_the_threshold(trained, data):
+    table, labels, _ = data
+    none = without_alteration(trained)
     altered = trained.choose_threshold(table, labels, VALIDATION, 40, 0, 0.005)
     assert altered == trained.choose_threshold(table, labels, VALIDATION, 40, 0, 0.005)
     assert altered.share != none.choose_threshold(table, labels, VALIDATION, 40, 0, 0.005).share

@@ -72,23 +72,31 @@ class Outline(HTMLParser):
             self.text += data + " "
 
 
-def test_it_is_complete_and_needs_nothing_else(html, tiny_run):
+def test_the_page_loads_nothing_else(html):
     page = html.read_text()
     outline = Outline(page)
     assert all(load.startswith(("#", "data:")) for load in outline.loads)
     assert "script" not in outline.tags
     assert "@import" not in page
     assert "url(" not in page
-    text = " ".join(outline.text.split())
-    assert not {"None", "nan", "Undefined"} & set(text.split())
     assert {link[1:] for link in outline.links if link.startswith("#")} <= outline.ids
+
+
+def test_the_page_has_every_figure(html, tiny_run):
+    text = " ".join(Outline(html.read_text()).text.split())
+    assert not {"None", "nan", "Undefined"} & set(text.split())
     bundle = read_bundle(tiny_run / "bundle")
     assert bundle.id in text
     for stage in ("cnn", "emulator"):
         assert f"{100 * read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.1f} %" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text
-    # Each sample among its class's, and some again next to their spikes.
+
+
+def test_each_sample_is_among_those_of_its_class(html, tiny_run):
+    """Some are again next to their spikes."""
+    page = html.read_text()
+    bundle = read_bundle(tiny_run / "bundle")
     stories = page.count('class="story"')
     assert 0 < stories < len(bundle.checks)
     assert page.count('class="thumb"') == len(bundle.checks) + stories
