@@ -6,7 +6,7 @@ from .terminal import escape_control
 MAX_LINE_LENGTH = 2400
 
 # The message if a worker process ended without an answer.
-KILLED = "a process was killed, perhaps for lack of memory; use fewer --jobs"
+KILLED_MESSAGE = "a process was killed, perhaps for lack of memory; use fewer --jobs"
 
 
 def format_as_line(message) -> str:

@@ -17,9 +17,9 @@ from pipeline.recordings.chunks import CHUNKS
 from pipeline.recordings.sensor import GRID, N_TAXELS
 
 # Distance of the positions that a pen may have, in taxels, and their number along each side.
-STEP = 0.5
+POSITION_STEP_TAXELS = 0.5
 SIDE = 2 * GRID + 1
-POSITIONS = STEP * np.arange(SIDE) - 0.5
+POSITIONS = POSITION_STEP_TAXELS * np.arange(SIDE) - 0.5
 
 # Standard deviation of the distance of a report from the pen, in taxels, and the share of reports
 # that come from anywhere.
@@ -136,7 +136,7 @@ def _move_along(score, before, axis):
         target[axis] = slice(max(-move, 0), SIDE - max(move, 0))
         source[axis] = slice(max(move, 0), SIDE - max(-move, 0))
         candidate = np.full_like(score, -np.inf)
-        cost = np.float32((STEP * move) ** 2 / (2 * MOVE_SPREAD**2))
+        cost = np.float32((POSITION_STEP_TAXELS * move) ** 2 / (2 * MOVE_SPREAD**2))
         candidate[tuple(target)] = score[tuple(source)] - cost
         origins = np.zeros_like(before)
         origins[tuple(target)] = before[tuple(source)]

@@ -27,8 +27,8 @@ from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.pen import START_S, USUAL_PRESSURE, PenPoint, Writing
 
 # Heights of the digits in taxels, and speeds of the pen in taxels per second, drawn evenly.
-HEIGHTS = (6.0, 8.5)
-SPEEDS = (18.0, 40.0)
+HEIGHT_RANGE_TAXELS = (6.0, 8.5)
+SPEED_RANGE_TAXELS_PER_S = (18.0, 40.0)
 
 # Standard deviation of the middle of a digit around that of the sensor, in taxels.
 PLACE_SPREAD = 0.4
@@ -46,7 +46,7 @@ REVERSIBLE = (0, 8)
 COUNTS = ("written", "right", "wrong_and_sure")
 
 # Confidence from which a wrong decision counts as one of which the network was sure.
-SURE = 0.95
+SURE_CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def write_digit(decider: PageDecider, sensor: Sensor, trace: Trace, seed, p) -> 
 
 def make_points(trace: Trace, rng, size) -> list:
     """The points of a pen that draws a trajectory on a sensor with these rows and columns."""
-    height = rng.uniform(*HEIGHTS)
-    speed = rng.uniform(*SPEEDS)
+    height = rng.uniform(*HEIGHT_RANGE_TAXELS)
+    speed = rng.uniform(*SPEED_RANGE_TAXELS_PER_S)
     middle = (np.array(size) - 1) / 2 + PLACE_SPREAD * rng.standard_normal(2)
     points = []
     time_s = START_S
@@ -144,7 +144,8 @@ def measure(decider: PageDecider, sensor: Sensor, rows: dict, seed: int, advance
     -------
     list of dict
         For each row its ``name``, the number ``written`` and ``right``, and of the wrong ones how
-        many were ``wrong_and_sure``: above :data:`SURE`, and the page did not say "not sure".
+        many were ``wrong_and_sure``: above :data:`SURE_CONFIDENCE`, without a "not sure" of the
+        page.
     """
     p = parameters.read_parameters()
     results = []
@@ -160,7 +161,7 @@ def measure(decider: PageDecider, sensor: Sensor, rows: dict, seed: int, advance
                 "written": len(digits),
                 "right": len(digits) - len(wrong),
                 "wrong_and_sure": sum(
-                    digit.confidence > SURE and not digit.is_doubted for digit in wrong
+                    digit.confidence > SURE_CONFIDENCE and not digit.is_doubted for digit in wrong
                 ),
             }
         )
@@ -169,7 +170,7 @@ def measure(decider: PageDecider, sensor: Sensor, rows: dict, seed: int, advance
 
 def make_cells(result: dict) -> list:
     """The table of a result, and the sum of the digits that are not reversed."""
-    heads = ["digit", "written", "right", f"wrong, above {100 * SURE:.0f} % sure"]
+    heads = ["digit", "written", "right", f"wrong, above {100 * SURE_CONFIDENCE:.0f} % sure"]
     cells = [heads]
     as_written = np.zeros(len(COUNTS), int)
     for row in result["rows"]:

@@ -32,7 +32,7 @@ from pipeline.progress import progress
 SEED = 5
 
 # Parts into which the steps of a network are divided; ratios are medians over them.
-TURNS = 4
+N_TURNS = 4
 
 
 def _time_call(function, *arguments):
@@ -229,8 +229,8 @@ def measure_on_network(title, make, steps) -> dict:
     identical = True
     for timed in pair:
         timed.run(20)  # compiles, and fills caches
-    for _ in range(TURNS):
-        (slow, expected), (quick, values) = (timed.run(steps // TURNS) for timed in pair)
+    for _ in range(N_TURNS):
+        (slow, expected), (quick, values) = (timed.run(steps // N_TURNS) for timed in pair)
         identical &= np.array_equal(expected, values)
         ratios.append(slow / quick)
     identical &= all(map(np.array_equal, *(timed.find_state() for timed in pair)))

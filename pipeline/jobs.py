@@ -12,7 +12,7 @@ from multiprocessing.resource_tracker import ensure_running
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from deploy.errors import KILLED, UserError
+from deploy.errors import KILLED_MESSAGE, UserError
 from deploy.plugins import load_plugins
 from pipeline.interrupts import raise_at_interrupts
 
@@ -171,7 +171,7 @@ def _run_in_processes(function, jobs, processes, meanwhile):
                 yield remaining.pop(number), result
     except TerminatedWorkerError:
         for job in remaining.values():
-            yield job, Failure(KILLED, KILLED, UserError(KILLED))
+            yield job, Failure(KILLED_MESSAGE, KILLED_MESSAGE, UserError(KILLED_MESSAGE))
 
 
 def _run_numbered(number, function, job):

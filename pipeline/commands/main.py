@@ -11,7 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from deploy import __version__
 from deploy.errors import (
-    KILLED,
+    KILLED_MESSAGE,
     CheckFailed,
     SeveralErrors,
     UserError,
@@ -213,7 +213,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(describe_error(error), 2)
     except BrokenExecutor:  # joblib's
-        status = _say(KILLED, 2)
+        status = _say(KILLED_MESSAGE, 2)
     sys.exit(status or 0)
 
 

@@ -30,7 +30,7 @@ SCORES = "scores.npz"
 SLICES = (1, 4, 8)
 
 # Inverse strengths of the regularisation (scikit-learn's ``C``) among which it chooses.
-STRENGTHS = (0.003, 0.02, 0.1)
+REGULARISATION_STRENGTHS = (0.003, 0.02, 0.1)
 
 FOLDS = 3
 
@@ -116,7 +116,7 @@ def _choose_features(counts, labels, compared, classes):
     best_strength = 0.0
     for slices in (n for n in SLICES if counts.shape[1] % n == 0):
         features = _compute_features(counts, slices, compared)
-        for strength in STRENGTHS:
+        for strength in REGULARISATION_STRENGTHS:
             accuracy = _cross_validate(features, labels[compared], classes, strength)
             if accuracy > best_accuracy:
                 best_accuracy = accuracy

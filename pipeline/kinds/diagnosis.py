@@ -16,10 +16,10 @@ from deploy.tables import align_rows, format_count
 from deploy.terminal import WARNING
 
 # Share of the fastest rate from which a neuron counts as saturated on a sample.
-NEAR_FASTEST = 0.9
+SATURATED_RATE_SHARE = 0.9
 
 # Minimum share of the samples on which a saturated neuron is at its limit.
-SATURATED_SAMPLES = 0.01
+MIN_SATURATED_SAMPLE_SHARE = 0.01
 
 
 def compute_fastest_rate(tau_ref: float) -> float:
@@ -38,8 +38,8 @@ def measure_activity(rates, fastest: float) -> dict:
         See :func:`compute_fastest_rate`.
     """
     rates = np.asarray(rates)
-    at_limit = np.mean(rates >= NEAR_FASTEST * fastest, axis=0)
-    saturated = float(np.mean(at_limit >= SATURATED_SAMPLES))
+    at_limit = np.mean(rates >= SATURATED_RATE_SHARE * fastest, axis=0)
+    saturated = float(np.mean(at_limit >= MIN_SATURATED_SAMPLE_SHARE))
     return {"silent": float(np.mean(np.all(rates <= 0, axis=0))), "saturated": saturated}
 
 

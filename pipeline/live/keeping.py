@@ -29,7 +29,7 @@ from pipeline.recordings.formats.recording import BadRecording, read_limited
 from pipeline.recordings.sensor import Sensor, TaxelMap
 
 # Writers are numbered from 1 to one less than this.
-WRITER_LIMIT = 1000
+END_OF_WRITERS = 1000
 
 # Number with which every page begins, until a writer is chosen there.
 FIRST_WRITER = 1
@@ -236,11 +236,11 @@ class Keeper:
         with self._guard:
             self.read_folder()
             used = {*self._assigned, *self.writers}
-            numbers = [max(used, default=0) + 1, *range(1, WRITER_LIMIT)]
-            free = next((n for n in numbers if n < WRITER_LIMIT and n not in used), None)
+            numbers = [max(used, default=0) + 1, *range(1, END_OF_WRITERS)]
+            free = next((n for n in numbers if n < END_OF_WRITERS and n not in used), None)
             if free is None:
                 raise UserError(
-                    f"{self.folder}: all {WRITER_LIMIT - 1} numbers of writers are taken; "
+                    f"{self.folder}: all {END_OF_WRITERS - 1} numbers of writers are taken; "
                     "choose another folder with --record"
                 )
             self._assigned.add(free)

@@ -23,7 +23,7 @@ import numpy as np
 
 from pipeline.live.deciding import NetworkOutput
 from pipeline.live.recording import OpenRecording
-from pipeline.simulation.pen import MARGIN, START_S
+from pipeline.simulation.pen import MARGIN_TAXELS, START_S
 
 # Maximum number of points in a message.
 MAX_POINTS = 512
@@ -96,8 +96,14 @@ def read_points(message: dict, now_ms: float, sensor) -> list:
 def _read_point(values, sensor):
     if sensor.rows * sensor.columns > MAX_TAXELS:
         raise BadMessage(f"points: a skin of more than {MAX_TAXELS} taxels is not simulated")
-    right, down = (side - 1 + MARGIN for side in (sensor.columns, sensor.rows))
-    ranges = (-1e12, 1e12), (-MARGIN, right), (-MARGIN, down), (0, 1), (0, 1)
+    right, down = (side - 1 + MARGIN_TAXELS for side in (sensor.columns, sensor.rows))
+    ranges = (
+        (-1e12, 1e12),
+        (-MARGIN_TAXELS, right),
+        (-MARGIN_TAXELS, down),
+        (0, 1),
+        (0, 1),
+    )
     if not isinstance(values, list) or len(values) != len(ranges):
         raise BadMessage("points: not five values each")
     for value, (lowest, highest) in zip(values, ranges, strict=True):

@@ -9,7 +9,7 @@ import math
 from deploy.errors import UserError, describe_error
 from pipeline.live.deciding import PageDecider
 from pipeline.live.examples import Examples, ReplayedTouch
-from pipeline.live.keeping import FIRST_WRITER, WRITER_LIMIT, Keeper
+from pipeline.live.keeping import END_OF_WRITERS, FIRST_WRITER, Keeper
 from pipeline.live.messages import (
     BadMessage,
     make_events_message,
@@ -247,8 +247,8 @@ class Session:
 
     def _handle_writer(self, message):
         number = message.get("number")
-        if number is not None and (type(number) is not int or not 1 <= number < WRITER_LIMIT):
-            raise BadMessage(f"number: not from 1 to {WRITER_LIMIT - 1}")
+        if number is not None and (type(number) is not int or not 1 <= number < END_OF_WRITERS):
+            raise BadMessage(f"number: not from 1 to {END_OF_WRITERS - 1}")
         if number is None:
             number = self._keeper.add_writer()
         self._keeper.note_writer(number)

@@ -35,8 +35,8 @@ MAX_DEAD_SHARE = 0.1
 
 # Probability that a hot taxel of a training sample is hot from the beginning of the sample to its
 # end, that a dead one is dead from its beginning, and that a hot one sends both polarities.
-WHOLE_SHARE = 0.5
-BOTH_POLARITIES_SHARE = 0.7
+WHOLE_SAMPLE_PROBABILITY = 0.5
+BOTH_POLARITIES_PROBABILITY = 0.7
 
 
 class HotSources(NamedTuple):
@@ -136,10 +136,10 @@ def _draw_hot(share, rng, durations_ms, size):
     cell = rng.integers(0, size[0] * size[1], n)
     period_ms = np.exp(rng.uniform(*np.log(HOT_PERIOD_MS), n))
     begin, end = np.sort(rng.random((2, n)), 0)
-    whole = rng.random(n) < WHOLE_SHARE
+    whole = rng.random(n) < WHOLE_SAMPLE_PROBABILITY
     begin = np.where(whole, 0.0, begin) * durations_ms[sample]
     end = np.where(whole, 1.0, end) * durations_ms[sample]
-    only = np.where(rng.random(n) < BOTH_POLARITIES_SHARE, -1, rng.integers(0, 2, n))
+    only = np.where(rng.random(n) < BOTH_POLARITIES_PROBABILITY, -1, rng.integers(0, 2, n))
     taxel = np.tile(np.arange(n), 2)
     polarity = np.repeat([0, 1], n)
     sends = (only[taxel] < 0) | (only[taxel] == polarity)
@@ -162,7 +162,7 @@ def _draw_dead(share, rng, durations_ms, size):
     shape = samples, *size
     is_dead = rng.random(shape) < dead_share[:, None, None]
     begin = rng.random(shape) * durations_ms[:, None, None]
-    begin = np.where(rng.random(shape) < WHOLE_SHARE, 0.0, begin)
+    begin = np.where(rng.random(shape) < WHOLE_SAMPLE_PROBABILITY, 0.0, begin)
     return np.where(is_dead, begin, np.inf)
 
 

@@ -39,7 +39,7 @@ SCHEMA = "stmnist-runs/1"
 LETTERS = string.ascii_uppercase
 
 # Width of the text in columns.
-WIDTH = 80
+TEXT_WIDTH = 80
 
 
 def list_all_stages() -> tuple:
@@ -332,7 +332,7 @@ def format_runs(compared: dict) -> str:
             )
         for note in notes:
             note = escape_control(f"{letter}: {note}")
-            lines += ["", *textwrap.wrap(note, WIDTH, break_on_hyphens=False)]
+            lines += ["", *textwrap.wrap(note, TEXT_WIDTH, break_on_hyphens=False)]
     return "\n".join(lines)
 
 
@@ -434,7 +434,7 @@ def _wrap_table(rows):
     """A table whose cells are wrapped if their columns would be too wide."""
     first = max(len(row[0]) for row in rows)
     n = len(rows[0]) - 1
-    room = max((WIDTH - first) // n - 2, 8)
+    room = max((TEXT_WIDTH - first) // n - 2, 8)
     folded = []
     for head, *cells in rows:
         columns = [textwrap.wrap(cell, room) or [""] for cell in cells]

@@ -23,7 +23,7 @@ from pipeline.storage.run_folder import RunFolder, require_run, run_around
 from pipeline.workflow import find_bundle_artifact, find_dataset_artifact, make_check_artifact
 
 # Width of the text in columns.
-WIDTH = 80
+TEXT_WIDTH = 80
 
 
 @dataclass(frozen=True)
@@ -177,16 +177,18 @@ def format_status(run: RunFolder, statuses) -> str:
         lines.append("")
         for reason in dict.fromkeys(reasons.values()):
             names = [name for name, because in reasons.items() if because == reason]
-            lines += textwrap.wrap(f"outdated, because {reason}:", WIDTH, break_on_hyphens=False)
+            lines += textwrap.wrap(
+                f"outdated, because {reason}:", TEXT_WIDTH, break_on_hyphens=False
+            )
             lines += textwrap.wrap(
                 ", ".join(names),
-                WIDTH,
+                TEXT_WIDTH,
                 break_on_hyphens=False,
                 initial_indent="  ",
                 subsequent_indent="  ",
             )
         remedy = f"{describe_remedy(run.path, reasons)} makes again what is outdated"
-        lines += textwrap.wrap(remedy, WIDTH, break_on_hyphens=False, break_long_words=False)
+        lines += textwrap.wrap(remedy, TEXT_WIDTH, break_on_hyphens=False, break_long_words=False)
     return "\n".join(lines)
 
 
@@ -197,7 +199,7 @@ def _describe_training(run, status):
         f"{status.state.name}: a training has finished {n_epochs}; unless it is still running, "
         f"{format_command('train', run.path)} continues it"
     )
-    return textwrap.wrap(text, WIDTH, break_on_hyphens=False, break_long_words=False)
+    return textwrap.wrap(text, TEXT_WIDTH, break_on_hyphens=False, break_long_words=False)
 
 
 def _find_dataset_origin(run, settings):

@@ -29,10 +29,10 @@ SCHEMA = "stmnist-sweep/3"
 VALIDATION_FRACTION = 0.15
 
 # The target that has the chip's integers and takes the least time.
-TARGET = "fast"
+SWEEP_TARGET = "fast"
 
 # Settings that change which samples there are; points on different ones cannot be compared.
-SAMPLES_APART = ("seed", "data", "split", "check")
+SAMPLE_SETTINGS = ("seed", "data", "split", "check")
 
 
 def make_points(base: Settings, grid) -> list:
@@ -77,7 +77,7 @@ def _read_axis(entry, base):
     pieces = [piece.strip() for piece in re.split(r",(?![^\[]*\])", text)]
     if not equals or not name or not all(pieces):
         raise UserError(f"--grid {entry!r}: expected section.name=value,value,...")
-    if name.partition(".")[0] in SAMPLES_APART:
+    if name.partition(".")[0] in SAMPLE_SETTINGS:
         raise UserError(
             f"--grid {entry!r}: points on different samples cannot be compared; "
             f"give {name} with --set, one sweep for each"
@@ -171,7 +171,7 @@ def _prepare_point(number, changes, settings, recordings) -> Point:
     dataset = prepare_dataset(settings, recordings, say=notes.append)
     resolved = dataset.settings
     network = find_kind(resolved)
-    stages = (network.deployed_stage, TARGET)
+    stages = (network.deployed_stage, SWEEP_TARGET)
     cases = {
         stage: Case(
             name=f"point-{number}-{stage}",
@@ -243,7 +243,7 @@ def summarise(points, rows: dict, failed: dict) -> dict:
         by_stage = {
             stage: rows[case.name] for stage, case in point.cases.items() if case.name in rows
         }
-        if TARGET in by_stage:
+        if SWEEP_TARGET in by_stage:
             measured.append(_describe_point(point.changes, by_stage))
     costs = [(-p["accuracy"], p["operations"], p["cores"], p["steps"]) for p in measured]
     for entry, on_front in zip(measured, find_pareto_front(costs) if measured else (), strict=True):
@@ -260,8 +260,8 @@ def summarise(points, rows: dict, failed: dict) -> dict:
 
 def _describe_point(changes, by_stage) -> dict:
     """The entry of a point in the summary, from the rows of its stages."""
-    chip = by_stage[TARGET]
-    accuracies = [row["accuracy"] for stage, row in by_stage.items() if stage != TARGET]
+    chip = by_stage[SWEEP_TARGET]
+    accuracies = [row["accuracy"] for stage, row in by_stage.items() if stage != SWEEP_TARGET]
     right = chip["right"]
     return {
         "changes": changes,

@@ -24,7 +24,7 @@ from pipeline.settings.groups import (
 )
 from pipeline.settings.nested import find_value, merge_values, set_nested
 from pipeline.settings.relations import IMPORTED
-from pipeline.settings.schema import KEPT_IF_USERS, PATHS, Settings, list_names_in
+from pipeline.settings.schema import KEPT_SETTINGS, PATHS, Settings, list_names_in
 from pipeline.settings.text import (
     describe_settings,
     format_automatic,
@@ -39,7 +39,7 @@ __all__ = [
     "CNN",
     "IMPORTED",
     "INPUTS",
-    "KEPT_IF_USERS",
+    "KEPT_SETTINGS",
     "NIR",
     "NORMALISATIONS",
     "PATHS",

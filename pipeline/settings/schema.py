@@ -45,11 +45,11 @@ from pipeline.settings.relations import IMPORTED, require_relations
 PATHS = ("data.source", "cnn.model", "nir.file")
 # Settings that a trained network may change unless they are the user's: what is made from them
 # depends on whose they are.
-KEPT_IF_USERS = ("presentation.gap",)
+KEPT_SETTINGS = ("presentation.gap",)
 
 
 class _DeclaredProvenance(dict):
-    """The provenance of the settings in `KEPT_IF_USERS` that a view declares; no other is read."""
+    """The provenance of the settings in `KEPT_SETTINGS` that a view declares; no other is read."""
 
     def get(self, name, default=None):
         if name not in self:
@@ -218,7 +218,7 @@ class Settings(SettingsGroup):
             Dotted names.  :data:`PATHS` remain readable too.
         """
         names = {*names, *PATHS}
-        declared = {name: self.find_provenance(name) for name in KEPT_IF_USERS if name in names}
+        declared = {name: self.find_provenance(name) for name in KEPT_SETTINGS if name in names}
         view = restrict_section(self, names)
         return view.with_provenance(_DeclaredProvenance(declared))
 

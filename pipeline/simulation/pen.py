@@ -25,11 +25,11 @@ START_S = 0.2
 USUAL_PRESSURE = 0.5
 
 # Bounds of a pen's force, as multiples of the usual one.
-WEAKEST = 0.3
-STRONGEST = 2.0
+MIN_FORCE_FACTOR = 0.3
+MAX_FORCE_FACTOR = 2.0
 
 # Taxels beyond the first and the last ones' centres within which a pen may be.
-MARGIN = 2.0
+MARGIN_TAXELS = 2.0
 
 
 class PenPoint(NamedTuple):
@@ -134,7 +134,7 @@ class Writing:
         if not np.isfinite(point[:4]).all():
             raise ValueError("a point of the pen is not four finite numbers")
         places = zip((point.down, point.right), self._size, strict=True)
-        if not all(-MARGIN <= place <= side - 1 + MARGIN for place, side in places):
+        if not all(-MARGIN_TAXELS <= place <= side - 1 + MARGIN_TAXELS for place, side in places):
             raise ValueError("a point of the pen is outside the skin")
         before = self._points[-1] if self._points else None
         earliest = self.time_s if before is None else max(self.time_s, before.time_s)
@@ -192,7 +192,7 @@ class Writing:
         down, right, pressure = (np.interp(time_s, knots[:, 0], knots[:, i]) for i in (1, 2, 3))
         kinematics = self._parameters.kinematics
         lands_s, lifts_s = np.array(self._contacts).T + kinematics.landing_s
-        force = self._usual * np.clip(pressure / USUAL_PRESSURE, WEAKEST, STRONGEST)
+        force = self._usual * np.clip(pressure / USUAL_PRESSURE, MIN_FORCE_FACTOR, MAX_FORCE_FACTOR)
         return down, right, force * compute_contact_force(time_s, lands_s, lifts_s, kinematics)
 
     def _forget(self):

@@ -34,7 +34,7 @@ from pathlib import Path
 
 from deploy import __version__
 from deploy.files import read_json, write_json
-from pipeline.settings import KEPT_IF_USERS, Settings, format_automatic, list_names_in
+from pipeline.settings import KEPT_SETTINGS, Settings, format_automatic, list_names_in
 
 # States of an artifact.
 CURRENT = "current"
@@ -86,7 +86,7 @@ class Origin:
         names = [name for entry in reads for name in list_names_in(entry)]
         values = {name: _make_plain(settings.get_value(name)) for name in names}
         merged = {PACKAGE: __version__, **(contents or {})}
-        for name in KEPT_IF_USERS:
+        for name in KEPT_SETTINGS:
             if name in values and settings.is_set_by_user(name):
                 merged[f"{name} is kept"] = f"as it was set: {values[name]}"
         for used in uses:

@@ -49,7 +49,7 @@ MAX_COMPARED_SAMPLES = 100
 # every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
 # Norse), so that this is what the network was trained for. A board loads the network at the start
 # of each stream, so that it is then loaded for each sample.
-FROM_REST = {"input.refractory": 0.0, "presentation.gap": 0, "presentation.stream_length": 1}
+REST_SETTINGS = {"input.refractory": 0.0, "presentation.gap": 0, "presentation.stream_length": 1}
 
 # Settings that the simulation of a graph on images reads: the image, and its spikes.
 IMAGE_READS = ("presentation", "image", "deployment.input_rate", "deployment.input_phase")
@@ -171,7 +171,7 @@ class NirKind(NetworkKind):
 
     def make_choices(self, recordings, train):
         settings = self.settings
-        from_rest = [Choice(name, value) for name, value in FROM_REST.items()]
+        from_rest = [Choice(name, value) for name, value in REST_SETTINGS.items()]
         if not settings.on_events:
             return from_rest
         settings = apply_choices(settings, from_rest, settings.nir.file)

@@ -13,7 +13,7 @@ MAX_LISTED = 10
 # Number of files that are named in one line.
 MAX_NAMED = 3
 
-ALL_OFF = (
+ALL_OFF_WARNING = (
     "all events are OFF, since their polarity is 0 or -1; write 1 if the sensor does not tell ON "
     "and OFF apart, and name the columns if another column is the polarity"
 )
@@ -104,7 +104,7 @@ def describe_doubts(interpretation: Interpretation, members: Sequence[str]) -> t
         lines.append(f"{_list_first(names)} {have} {text}")
     are_off = all((events.polarity < 0).all() for events in interpretation.events)
     if interpretation.time_unit and are_off:
-        lines.append(ALL_OFF)
+        lines.append(ALL_OFF_WARNING)
     return tuple(lines)
 
 

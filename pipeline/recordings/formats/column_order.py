@@ -22,7 +22,7 @@ ORDERS = ("xytp", "txyp", "xypt")
 # Orders that are not read, and that cannot be told from these if x has two values.
 WITH_POLARITY_FIRST = {"txyp": "tpxy", "xypt": "pxyt"}
 
-NAME_THEM = "write the names of the columns in the first line, such as t,x,y,p"
+NAME_COLUMNS = "write the names of the columns in the first line, such as t,x,y,p"
 
 
 def make_array_recording(array: np.ndarray) -> EventRecording:
@@ -51,11 +51,11 @@ def make_array_recording(array: np.ndarray) -> EventRecording:
         try:
             make_recording(array)  # refuses values that are wrong in the documented order
         except BadRecording as error:
-            reason = f"{error}; or, as columns have no names, {NAME_THEM}"
+            reason = f"{error}; or, as columns have no names, {NAME_COLUMNS}"
             raise BadRecording(reason, error.event) from error
         raise BadRecording(
             "has four columns without names, and times that rise in none of the orders "
-            f"{', '.join(ORDERS)}; {NAME_THEM}"
+            f"{', '.join(ORDERS)}; {NAME_COLUMNS}"
         )
     table = array if len(orders) > 1 else None
     return replace(_make_table_recording(array, orders[0]), orders=orders, table=table)
@@ -86,7 +86,7 @@ def settle_orders(recordings) -> tuple:
     common = [order for order in ORDERS if order in possible]
     if not common:
         raise BadRecording(
-            f"recordings have four columns without names, and not all in one order; {NAME_THEM}"
+            f"recordings have four columns without names, and not all in one order; {NAME_COLUMNS}"
         )
     order = max(common, key=lambda order: _count_times(tables, order))  # the first of equal ones
     _refuse_two_polarities(tables, order)
@@ -104,7 +104,7 @@ def _refuse_two_polarities(tables, order):
     if all(_put_in_order(recording, order).x.max() <= 1 for recording in tables):
         raise BadRecording(
             "recordings have four columns without names, of which two have only 0 and 1: their "
-            f"order may be {', '.join(order)} or {', '.join(alternative)}; {NAME_THEM}"
+            f"order may be {', '.join(order)} or {', '.join(alternative)}; {NAME_COLUMNS}"
         )
 
 

@@ -13,7 +13,7 @@ from deploy.targets.emulation import Emulation
 
 # Number of classes whose probability is drawn: the decision, the prediction at the end, the right
 # one, and rivals.
-SHOWN_CLASSES = 4
+N_DRAWN_CLASSES = 4
 
 
 class Spikes(NamedTuple):
@@ -61,7 +61,7 @@ class Replay:
         """The classes whose probability is drawn, for a sample of a class."""
         top = np.argsort(-self.probabilities[self.decided], kind="stable").tolist()
         drawn = dict.fromkeys([top[0], int(self.probabilities[-1].argmax()), label, *top])
-        return list(drawn)[:SHOWN_CLASSES]
+        return list(drawn)[:N_DRAWN_CLASSES]
 
 
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:

@@ -35,10 +35,10 @@ FIRST_RATE_HZ = 5.0
 MAX_CALIBRATION_SAMPLES = 64
 
 # Batches among whose samples batches of similar length are made.
-BATCHES_SORTED = 16
+SORTED_BATCHES = 16
 
 # Samples that are evaluated together.
-EVALUATED_TOGETHER = 100
+EVALUATION_SAMPLES = 100
 
 
 def train_events(
@@ -235,8 +235,8 @@ class Trainer:
         order = rng.permutation(self.train)
         order = np.concatenate([order, np.resize(order, -len(order) % size)])
         batches = []
-        for start in range(0, len(order), BATCHES_SORTED * size):
-            group = order[start : start + BATCHES_SORTED * size]
+        for start in range(0, len(order), SORTED_BATCHES * size):
+            group = order[start : start + SORTED_BATCHES * size]
             group = group[np.argsort(self.table.duration_ms[group], kind="stable")]
             batches += np.split(group, len(group) // size)
         rng.shuffle(batches)
@@ -261,8 +261,8 @@ class Trainer:
         """For some samples at a time: indices, frames, outputs and operations."""
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
-        for start in range(0, len(order), EVALUATED_TOGETHER):
-            batch = order[start : start + EVALUATED_TOGETHER]
+        for start in range(0, len(order), EVALUATION_SAMPLES):
+            batch = order[start : start + EVALUATION_SAMPLES]
             frames = frames_of(batch)
             outputs, costs, _ = self._gradient.compute_outputs(self._optimizer.means, frames)
             yield batch, frames, outputs, costs

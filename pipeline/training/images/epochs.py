@@ -15,10 +15,10 @@ from pipeline.recordings.images import ALTERED_AT_ONCE
 from pipeline.training.images.schedules import TrainingSchedule
 
 # Maximum number of noise values, of 4 bytes each, drawn in advance.
-NOISE_AHEAD = 1 << 23
+MAX_NOISE_AHEAD = 1 << 23
 
 # Maximum number of values of images that are computed in advance.
-IMAGES_AHEAD = 1 << 24
+MAX_IMAGES_AHEAD = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ def _compile_training(model, optimizer, batch_size):
 def _draw_samples(model, samples, schedule, seed):
     """The training samples of all epochs: images, labels, noise and masks for dropout.
 
-    Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
-    in two thirds of TensorFlow's time, and concurrently with the training steps.
+    Yields as many whole batches of an epoch at once as `MAX_NOISE_AHEAD` allows.  NumPy draws the
+    noise in two thirds of TensorFlow's time, and concurrently with the training steps.
     """
     noisy = list_noisy_layers(model)
     dropped = list_dropped_layers(model)
@@ -190,7 +190,10 @@ def _draw_masks(rngs, layers, n_samples):
 def _count_samples_ahead(batch_size, numbers, pixels):
     """Samples that are drawn at once: whole batches, and whole groups of altered images."""
     unit = math.lcm(batch_size, ALTERED_AT_ONCE)
-    groups = min(NOISE_AHEAD // (unit * max(numbers, 1)), IMAGES_AHEAD // (unit * max(pixels, 1)))
+    groups = min(
+        MAX_NOISE_AHEAD // (unit * max(numbers, 1)),
+        MAX_IMAGES_AHEAD // (unit * max(pixels, 1)),
+    )
     return unit * max(groups, 1)
 
 

@@ -12,7 +12,7 @@ from pipeline.training.images.networks import TrainedCNN
 PERCENTILE = 99.9
 
 # Candidate threshold shifts for weights that are reused without training.
-SHIFTS = tuple(np.arange(0, 1.01, 0.02).tolist())
+THRESHOLD_SHIFTS = tuple(np.arange(0, 1.01, 0.02).tolist())
 
 # Maximum number of training samples on which the activations of the layers are measured.
 MAX_MEASURED_SAMPLES = 1 << 14
@@ -78,8 +78,8 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     A LIF neuron's rate ``f`` rises steeply at its threshold and then flattens, unlike a ReLU.  With
     activations y that reach 1 (:func:`scale_to_unit`), ``c f(a z - b)`` approximates
     ``y = max(z, 0)`` if the threshold is raised by a small b; a = 1 + b keeps ``max_rate`` at 1.
-    For each layer, b is the value of `SHIFTS` with the least squared error over the activations
-    above 0 on the images, and c is its best factor; a and b are applied to the layer's weights and
+    For each layer, b is the value of `THRESHOLD_SHIFTS` with the least squared error over the
+    activations above 0 on the images, and c is its best factor; a and b are applied to the layer's weights and
     bias, c to the next layer's weights.
 
     Parameters
@@ -117,7 +117,7 @@ def _find_best_shift(neurons, activations):
     # A thousand values are a sufficient sample of the distribution.
     typical = np.quantile(activations, (np.arange(1000) + 0.5) / 1000)
     errors = []
-    for shift in SHIFTS:
+    for shift in THRESHOLD_SHIFTS:
         rates = neurons.compute_rates(((1 + shift) * typical - shift).astype(np.float32)).numpy()
         factor = float(rates @ typical / max(rates @ rates, 1e-9))
         errors.append((float(np.square(factor * rates - typical).sum()), shift, factor))

@@ -55,7 +55,7 @@ def test_same_seed_same_weights(cnn, stripes):
 
 
 def test_images_that_are_computed_in_parts_give_the_same_weights(cnn, stripes, monkeypatch):
-    monkeypatch.setattr(epochs, "IMAGES_AHEAD", 1)
+    monkeypatch.setattr(epochs, "MAX_IMAGES_AHEAD", 1)
     monkeypatch.setattr(epochs, "ALTERED_AT_ONCE", 16)
     again = train_cnn(settings(), TrainingSamples(*stripes), seed=0)
     for name, array in cnn.weights.items():
