@@ -79,8 +79,8 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     activations y that reach 1 (:func:`scale_to_unit`), ``c f(a z - b)`` approximates
     ``y = max(z, 0)`` if the threshold is raised by a small b; a = 1 + b keeps ``max_rate`` at 1.
     For each layer, b is the value of `THRESHOLD_SHIFTS` with the least squared error over the
-    activations above 0 on the images, and c is its best factor; a and b are applied to the layer's weights and
-    bias, c to the next layer's weights.
+    activations above 0 on the images, and c is its best factor; a and b are applied to the
+    layer's weights and bias, c to the next layer's weights.
 
     Parameters
     ----------
