@@ -148,8 +148,8 @@ def list_source(path, labelled: bool = True) -> Listing:
 
 def _list_file(path):
     """The listing of one recording, with the tables in the same folder."""
-    beside = {entry.name.lower(): entry.name for entry in path.parent.iterdir() if entry.is_file()}
-    tables = [beside.get(name) for name in (LOOKUP_TABLE, POSITIONS)]
+    files = {entry.name.lower(): entry.name for entry in path.parent.iterdir() if entry.is_file()}
+    tables = [files.get(name) for name in (LOOKUP_TABLE, POSITIONS)]
     entries = (Entry(path.name, "", ""),)
     return Listing(path.parent, entries, *tables, None, (), is_one_file=True)
 
@@ -225,11 +225,11 @@ def _find_empty_classes(entries, folders):
     classes = {
         folder for folder in parents if folder.name.lower() not in PART_OF_FOLDER and folder.name
     }
-    beside = {folder.parent for folder in classes}
+    parents = {folder.parent for folder in classes}
     return [
         (str(folder), "is a class without a recording; remove the folder")
         for folder in map(PurePosixPath, folders)
-        if folder.parent in beside and folder not in classes and not is_ignored(folder)
+        if folder.parent in parents and folder not in classes and not is_ignored(folder)
     ]
 
 
