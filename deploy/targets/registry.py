@@ -157,7 +157,7 @@ TARGETS: Dict[str, Target] = {
             needs_board=True,
             in_ladder=True,
             options=BoardOptions,
-            describe=import_when_called("board", "describe"),
+            describe=import_when_called("board", "describe_notes"),
         ),
     )
 }
