@@ -20,7 +20,7 @@ from deploy.network.layer import LayerRecord
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 from deploy.network.output import TargetOutput
 from deploy.preflight.plan import make_plan
-from deploy.targets.options import Options, declare_option
+from deploy.targets.options import Options, option
 from deploy.targets.registry import TARGETS, Target, register_target, run_target, select_options
 from models import ops
 from models.chain import Link, NeuronDecays
@@ -74,7 +74,7 @@ def test_a_format(tmp_path, monkeypatch):
 
 @dataclass(frozen=True)
 class FirstOptions(Options):
-    label: int = declare_option(0, "The class that is always predicted.", 0, 9)
+    label: int = option(0, "The class that is always predicted.", 0, 9)
 
 
 def run_first_class(spec, streams, seed, options):

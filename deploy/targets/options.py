@@ -9,7 +9,7 @@ from ..errors import UserError
 MAX_WAIT_S = 600.0
 
 
-def declare_option(default, help_text, minimum=None, maximum=None):
+def option(default, help_text, minimum=None, maximum=None):
     """A field with its range, and its help on both command lines."""
     return field(default=default, metadata={"help": help_text, "range": (minimum, maximum)})
 
@@ -21,9 +21,7 @@ def format_flag(name: str) -> str:
 
 @dataclass(frozen=True)
 class Options:
-    """Base class of the options of a target, a frozen dataclass.
-
-    Its fields are made by :func:`declare_option`.
+    """Base class of the options of a target: a frozen dataclass whose fields are :func:`option`.
 
     Attributes
     ----------
@@ -86,21 +84,17 @@ class BoardOptions(Options):
 
     changes_outputs: ClassVar[bool] = False
 
-    board: Optional[str] = declare_option(None, "Name of a board (default: the cluster's choice).")
-    partition: Optional[str] = declare_option(
-        None, "SLURM partition (default: a board of this host)."
-    )
-    chips: int = declare_option(1, "Largest number of chips to use.", 1, 10_000)
-    attempts: int = declare_option(
-        3, "Largest number of attempts for each stream of samples.", 1, 1000
-    )
-    wait: float = declare_option(
+    board: Optional[str] = option(None, "Name of a board (default: the cluster's choice).")
+    partition: Optional[str] = option(None, "SLURM partition (default: a board of this host).")
+    chips: int = option(1, "Largest number of chips to use.", 1, 10_000)
+    attempts: int = option(3, "Largest number of attempts for each stream of samples.", 1, 1000)
+    wait: float = option(
         10.0,
         "Seconds before the second attempt, doubled for each further one up to ten minutes.",
         0,
         86_400,
     )
-    timeout: float = declare_option(
+    timeout: float = option(
         1800.0, "Seconds after which a stream that hangs is abandoned.", 1e-3, 864_000
     )
-    energy: bool = declare_option(False, "Measure power if the board can.")
+    energy: bool = option(False, "Measure power if the board can.")
