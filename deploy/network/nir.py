@@ -21,19 +21,14 @@ NIR cannot represent.
 from __future__ import annotations
 
 import io
-from dataclasses import replace
 
-import nengo
 import numpy as np
 
 from .. import __version__
 from ..errors import UserError
 from ..files import replacing
-from .build import build_nengo_network
 from .chip import DT
-from .layer import Layer
-from .ops.dense import DeployedDense
-from .simulation import present_samples
+from .reference import make_input_spikes
 from .spec import NetworkSpec, get_spec
 
 
@@ -114,27 +109,10 @@ def make_graph_input(spec: NetworkSpec, samples) -> np.ndarray:
         spikes is the image.
     """
     flat = spec.stimulus.flatten(samples)
-    period = spec.presentation.period
-    size = flat.shape[-1]
-    # the input neurons alone, with a readout of zeros
-    nothing = Layer(
-        name="nothing",
-        operation=DeployedDense(1),
-        input_shape=spec.input_shape,
-        neurons=None,
-        synapse=None,
-        weights=np.zeros((1, size)),
-        bias=np.zeros(1),
-    )
-    spikes = []
-    for stream in spec.presentation.list_streams(len(flat)):
-        built = build_nengo_network(replace(spec, layers=(nothing,)))
-        with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-            spikes.append(
-                [sample.spikes["input"] for sample in present_samples(built, sim, flat[stream])]
-            )
+    streams = spec.presentation.list_streams(len(flat))
+    spikes = [make_input_spikes(spec, flat[stream]) for stream in streams]
     rows, columns, channels = spec.input_shape
-    images = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
+    images = np.concatenate(spikes).reshape(len(flat), -1, rows, columns, channels)
     return np.moveaxis(images, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)
 
 

@@ -22,7 +22,7 @@ from scipy import sparse
 
 from models.architecture import MAX_WEIGHTS, Architecture
 from models.keras.files import ModelFileError
-from models.keras.model import LINEAR, RELU, Activation, KerasLayer, KerasModel, MaxPool
+from models.keras.model import LINEAR, RELU, KerasLayer, KerasModel
 from models.keras.signal import Signal, make_matrix
 from models.ops import Dense, Pooling
 
@@ -52,17 +52,11 @@ class WeightedSums:
     ----------
     layer : KerasLayer
     kernel, bias : ndarray
-    activation : Activation
-        The activation in the file; the architecture has ReLUs only.
-    maxima : MaxPool or None
-        In the file between the built signal and the kernel.
     """
 
     layer: KerasLayer
     kernel: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
-    activation: Activation = RELU
-    maxima: MaxPool | None = None
 
 
 @dataclass(frozen=True)
@@ -105,12 +99,10 @@ class LayerConverter:
         The linear function from the signal of the last layer to the model's.
     is_linear : bool
         True if no activation has followed the last weighted sums.
-    maxima : MaxPool or None
-        A maximum over windows of the built image, which the next layer with weights absorbs.
+    deferred : KerasLayer or None
+        A maximum of sums, for which an average is taken once these have an activation.
     means : WindowMeans or None
         Averages over windows of the built image, which the next convolution may absorb.
-    max_pools, paddings : dict
-        As in `KerasModel`, by the index of their layer.
     end : (KerasLayer, Activation) or None
         A layer and its activation, if it may be the output's.
     input_scale : float
@@ -125,11 +117,9 @@ class LayerConverter:
         self.pixels = pixels
         self.layers = []
         self.sums = []
-        self.max_pools = {}
-        self.maxima = None
+        self.deferred = None
         self.means = None
         self.input_scale = 1.0
-        self.paddings = {}
         self.is_linear = False
         self.end = None
         self.notes = []
@@ -182,30 +172,16 @@ class LayerConverter:
         weighted = [name for name, layer in zip(names, layers, strict=True) if layer.has_neurons]
         weights = {}
         for name, sums in zip(weighted, self.sums, strict=True):
-            kernel = sums.kernel
-            if sums.maxima is not None:
-                kernel = sums.maxima.widen(kernel)
             with np.errstate(over="ignore"):  # infinite values are refused below
-                kernel, bias = (np.asarray(a, np.float32) for a in (kernel, sums.bias))
+                kernel, bias = (np.asarray(a, np.float32) for a in (sums.kernel, sums.bias))
             if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
                 sums.layer.refuse("its weights are too large for single precision")
             weights |= {f"{name}.kernel": kernel, f"{name}.bias": bias}
-        activations = {
-            name: sums.activation for name, sums in zip(weighted, self.sums, strict=True)
-        }
-        max_pools = {names[index]: pool for index, pool in self.max_pools.items()}
-        for name, sums in zip(weighted, self.sums, strict=True):
-            if sums.maxima is not None:
-                kernel = np.asarray(sums.kernel, np.float32)
-                max_pools[name] = replace(sums.maxima, kernel=kernel)
         return KerasModel(
             architecture=architecture,
             weights=weights,
             notes=tuple(self.notes),
             replaced=tuple(self.replaced),
-            activations={n: a for n, a in activations.items() if a != RELU and n != "output"},
-            max_pools=max_pools,
-            paddings={names[index]: values for index, values in self.paddings.items()},
             end=end,
             input_order=self.input_order,
             input_scale=self.input_scale,
@@ -224,14 +200,13 @@ class LayerConverter:
         """
         bias = self.signal.offset @ kernel + bias
         kernel = self.signal.map.T @ kernel
-        if self.maxima is not None or (self.layers and isinstance(self.layers[-1], Pooling)):
+        if self.layers and isinstance(self.layers[-1], Pooling):
             self.require_activation(layer)
         if self.is_linear:
             before = self.sums[-1]
             matrix, offset = self.make_matrix_of_sums()
             bias = offset @ kernel + bias
             kernel = matrix @ kernel
-            self.maxima = before.maxima and before.maxima.before_dense()
             self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
             self.layers.pop()
             self.sums.pop()
@@ -246,10 +221,8 @@ class LayerConverter:
         before = self.input_shape
         for layer in self.layers[:-1]:
             before = layer.compute_shape(before)
-        strides, padding = (operation.stride, operation.stride), operation.padding
-        if last.maxima is not None:
-            before, strides, padding = last.maxima.shape, last.maxima.conv_strides, "valid"
-        matrix = make_matrix(last.kernel.transpose(3, 2, 0, 1), before, strides, padding)
+        strides = (operation.stride, operation.stride)
+        matrix = make_matrix(last.kernel.transpose(3, 2, 0, 1), before, strides, operation.padding)
         return matrix.T, np.tile(last.bias, matrix.shape[0] // len(last.bias))
 
     def average_sums(self):
@@ -261,7 +234,6 @@ class LayerConverter:
         bias = self.signal.map @ offset + self.signal.offset
         self.layers.pop()
         self.sums.pop()
-        self.maxima = last.maxima and last.maxima.before_dense()
         self.append_sums(last.layer, Dense(len(bias)), kernel, bias)
         self.signal.arrange(self.signal.positions.reshape(shape))
         self.notes.append(f"{last.layer}: takes the memory of a dense layer, as what follows it")
@@ -269,8 +241,6 @@ class LayerConverter:
     def append_sums(self, layer, operation, kernel, bias):
         """Append an operation with its kernel and bias."""
         weights = math.prod(kernel.shape)
-        if self.maxima is not None and isinstance(operation, Dense):
-            weights = math.prod(self.maxima.image) * kernel.shape[1]
         if weights > (MAX_MATRIX_WEIGHTS if sparse.issparse(kernel) else MAX_WEIGHTS):
             layer.refuse(
                 f"as a matrix, which it would be on the chip, it has {weights} weights; use "
@@ -281,8 +251,7 @@ class LayerConverter:
         self.signal.begin(operation.compute_shape(self.signal.built))
         self.layers.append(operation)
         bias = np.broadcast_to(bias, kernel.shape[-1:])
-        self.sums.append(WeightedSums(layer, kernel, bias, maxima=self.maxima))
-        self.maxima = None
+        self.sums.append(WeightedSums(layer, kernel, bias))
         self.is_linear = True
 
     def read_out(self):
@@ -314,21 +283,16 @@ class LayerConverter:
             layer.refuse("its softmax does not follow the output; remove it")
         if not self.sums:
             layer.refuse("precedes the first Conv2D or Dense; remove it")
-        last = self.sums[-1]
         if not self.is_linear:
             # A signal that is not negative passes a ReLU unchanged.
-            is_positive = last.activation == RELU and self.signal.is_never_negative
-            if activation.name != "relu" or not is_positive:
+            if activation.name != "relu" or not self.signal.is_never_negative:
                 layer.refuse(
-                    f"a second activation after that of {last.layer}; put the normalisation, or "
-                    "the averaging, before or after both, or remove one"
+                    f"a second activation after that of {self.sums[-1].layer}; put the "
+                    "normalisation, or the averaging, before or after both, or remove one"
                 )
             return
         if not self.signal.is_moved:
-            if self.maxima is not None:
-                layer.refuse("follows an average of maxima; put the activation before them")
             self.average_sums()
-            last = self.sums[-1]
         self.is_linear = False
         if activation.name == "relu":
             return
@@ -337,7 +301,6 @@ class LayerConverter:
                 f"{activation.name!r} is not the curve of a spiking neuron, which is like a ReLU; "
                 f"{RETRAIN} a ReLU and is trained further; or {USE_RELU}"
             )
-        last.activation = activation
         self.replaced.append(f"{layer}: {activation.name} replaced by a ReLU")
 
     def require_activation(self, layer):
@@ -350,7 +313,6 @@ class LayerConverter:
                 f"has no activation before {layer.name!r}; use activation='relu' ({RETRAIN} a ReLU)"
             )
         self.is_linear = False
-        last.activation = LINEAR
         self.replaced.append(f"{last.layer}: a ReLU added, since it has no activation")
 
     # --- scales -----------------------------------------------------------------------------------
@@ -381,22 +343,11 @@ class LayerConverter:
             return False
         last = self.sums[-1]
         units = len(last.bias)
-        period = units if self.maxima is None else self.signal.built[-1]
         scales, offsets = (
-            (self.signal.map.T @ values).reshape(-1, period) for values in (scale, offset)
+            (self.signal.map.T @ values).reshape(-1, units) for values in (scale, offset)
         )
         if (scales != scales[0]).any() or (offsets != offsets[0]).any():
             return False
-        self.change_signs(scales[0])
-        scale, offset = (np.tile(values[0], units // period) for values in (scales, offsets))
-        last.kernel = last.kernel * scale
-        last.bias = last.bias * scale + offset
+        last.kernel = last.kernel * scales[0]
+        last.bias = last.bias * scales[0] + offsets[0]
         return True
-
-    def change_signs(self, scale):
-        """Let maxima of the last sums be minima where these change their sign."""
-        for index, pool in self.max_pools.items():
-            if index >= len(self.layers) - 1 and isinstance(self.layers[index], Pooling):
-                self.max_pools[index] = pool.change_signs(scale)
-        if self.maxima is not None:
-            self.maxima = self.maxima.change_signs(scale)

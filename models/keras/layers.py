@@ -47,6 +47,7 @@ def convert_layers(
     converter = LayerConverter(order, retrain, pixels)
     for layer in layers:
         convert_layer(converter, layer)
+    _take_deferred_average(converter, converter.deferred)
     return converter.finish()
 
 
@@ -78,6 +79,8 @@ def convert_layer(converter: LayerConverter, layer: KerasLayer):
         if activation.name == "softmax":
             layer.refuse(f"follows the softmax of {before}; remove that softmax")
         converter.use_hidden_activation(before, activation)
+    if not (layer.kind == "BatchNormalization" or HANDLERS[layer.kind] == convert_activation):
+        _take_deferred_average(converter, layer)
     is_channels_first = (
         layer.config.get("data_format") == "channels_first" and HANDLERS[layer.kind] != rearrange
     )
@@ -86,6 +89,16 @@ def convert_layer(converter: LayerConverter, layer: KerasLayer):
     HANDLERS[layer.kind](converter, layer)
     if is_channels_first and converter.signal.is_image:
         converter.signal.move_axis(-1, 0)
+    if not converter.is_linear:
+        _take_deferred_average(converter, layer)
+
+
+def _take_deferred_average(converter, before):
+    """Take the average in place of a maximum of sums, which have an activation by then."""
+    layer, converter.deferred = converter.deferred, None
+    if layer is not None:
+        converter.require_activation(before)
+        convert_layer(converter, layer)
 
 
 def _find_input_order(input_shape, layers, grid):

@@ -1,8 +1,8 @@
 """A layer of a Keras model, and a model as an architecture and its weights."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, NoReturn
+from dataclasses import dataclass
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -13,6 +13,9 @@ NO_CHAIN = (
     "does not compute what its layers do one after the other; build one chain of layers, each "
     "called once and with its input only"
 )
+
+# Images that a model computes together.
+BATCH = 256
 
 
 class Activation(NamedTuple):
@@ -87,51 +90,6 @@ class KerasLayer(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MaxPool:
-    """A maximum over windows in the file's model, where the architecture averages.
-
-    Attributes
-    ----------
-    size, strides : (int, int)
-        Along rows and columns.
-    padding : str
-    signs : ndarray, shape (channels,)
-        -1 for channels of which a later normalisation changes the sign, so that the file's model
-        has their minimum.
-    image : tuple of int
-        Shape of the image before it, if the next layer has absorbed the averages.
-    means : scipy.sparse.csr_array, shape (averages, values of the image)
-    shape : tuple of int
-        Shape of the maxima.
-    widen : callable
-        The kernel on the image, with averages in it, of a convolution's kernel on the averages.
-    kernel : ndarray
-        The kernel of that layer in the file: (maxima, units), or that of a convolution.
-    conv_strides : tuple of int
-        Strides of a convolution without padding that has absorbed the averages.
-    """
-
-    size: tuple
-    strides: tuple
-    padding: str
-    signs: np.ndarray
-    image: tuple = ()
-    means: Any = None
-    shape: tuple = ()
-    widen: Callable | None = None
-    kernel: np.ndarray | None = None
-    conv_strides: tuple = ()
-
-    def before_dense(self) -> "MaxPool":
-        """The maxima that a dense layer absorbs."""
-        return replace(self, widen=self.means.T.__matmul__, conv_strides=())
-
-    def change_signs(self, scale) -> "MaxPool":
-        """The maxima of channels with a factor, or minima if it is negative."""
-        return replace(self, signs=self.signs * np.where(scale < 0, -1, 1))
-
-
-@dataclass(frozen=True)
 class KerasModel:
     """A user's model as an architecture and its weights.
 
@@ -146,14 +104,6 @@ class KerasModel:
         One line for each layer that was folded or left out.
     replaced : tuple of str
         One line for each layer with another function than in the file.
-    activations : dict
-        The functions in the file that ReLUs replace, by the name of the layer of neurons.
-    max_pools : dict of str to MaxPool
-        The layers in the file that averages replace, by the name of the pooling, or of the dense
-        layer that has absorbed the averages.
-    paddings : dict of str to ndarray
-        Values of the channels with which the file's model pads a convolution's input, where the
-        architecture pads zeros, by the name of the convolution.
     end : Activation
         That of the output in the file.
     input_order : ndarray of int
@@ -161,15 +111,30 @@ class KerasModel:
         its shape.
     input_scale : float
         What an image is multiplied with to be the model's input: 255 for a model of pixels.
+    function : callable
+        What the file's model computes of its input.
     """
 
     architecture: Architecture
     weights: dict
     notes: tuple
     replaced: tuple
-    activations: dict
-    max_pools: dict
-    paddings: dict
     end: Activation
     input_order: np.ndarray
     input_scale: float = 1.0
+    function: Callable = LINEAR.function
+
+    def compute_outputs(self, images) -> np.ndarray:
+        """Outputs of the file's model, one for each class.
+
+        Parameters
+        ----------
+        images : ndarray, shape (n, rows, columns, channels)
+        """
+        values = images.reshape(len(images), -1)[:, self.input_order.ravel()]
+        inputs = (self.input_scale * values).reshape(len(images), *self.input_order.shape)
+        inputs = inputs.astype(np.float32)
+        batches = [inputs[n : n + BATCH] for n in range(0, len(inputs), BATCH)]
+        outputs = np.concatenate([np.asarray(self.function(batch)) for batch in batches])
+        outputs = outputs.reshape(len(images), -1)
+        return np.hstack([1 - outputs, outputs]) if outputs.shape[1] == 1 else outputs

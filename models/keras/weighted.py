@@ -1,7 +1,6 @@
 """Keras's layers with weights, convolutions and dense layers, in the layers of an architecture."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -53,36 +52,24 @@ def _append_windows(converter, layer, kernel, bias, counts) -> bool:
     found = _find_windows(converter, layer, kernel.shape[2:])
     if found is None:
         return False
-    before, averaged, image, (scale, offset) = found
-    strides = layer.read_pair("strides")
+    before, averaged, (scale, offset) = found
+    window = Window(kernel, layer.read_pair("strides"), before)
+    if averaged is not None:
+        window = average_before(window, averaged.size, averaged.strides)
     padding = layer.config["padding"]
-
-    def fit(kernel):
-        window = Window(kernel, strides, before)
-        if averaged is not None:
-            window = average_before(window, averaged.size, averaged.strides)
-        paddings = (padding, "same" if padding == "valid" else "valid")
-        return window, fit_window_to_chip(window, image[:2], counts, paddings)
-
-    window, fitting = fit(kernel)
+    paddings = (padding, "same" if padding == "valid" else "valid")
+    image = converter.signal.built
+    fitting = fit_window_to_chip(window, image[:2], counts, paddings)
     if fitting is None:
         return False
     weights = fitting["weights"]
     operation = Convolution(weights.shape[-1], len(weights), fitting["stride"], fitting["padding"])
     if offset.any() and _reads_padding(window, image, counts):
-        _pad_without_offset(converter, layer, scale, offset)
+        _pad_without_offset(converter, layer)
     if len(weights) != max(layer.read_pair("kernel_size")):
         size = f"{operation.kernel_size}x{operation.kernel_size}"
         converter.notes.append(f"{layer}: its windows became a kernel of {size}")
     bias = bias + np.einsum("ijcf,c->f", weights, offset)
-    if converter.maxima is not None:
-        weights = kernel.transpose(2, 3, 1, 0)
-        converter.maxima = replace(
-            converter.maxima,
-            widen=lambda kernel: fit(kernel.transpose(3, 2, 0, 1))[1]["weights"],
-            conv_strides=strides,
-        )
-        converter.signal.begin(image)
     converter.append_sums(layer, operation, weights * scale[:, None], bias)
     return True
 
@@ -94,9 +81,8 @@ def _find_windows(converter, layer, size):
     -------
     before : tuple of int
         Zeros before the first row and column.
-    averaged : WindowMeans, MaxPool or None
+    averaged : WindowMeans or None
         The averages that it reads.
-    image : tuple of int
     affine : tuple of ndarray
         Scale and offset of each channel.
     """
@@ -107,26 +93,23 @@ def _find_windows(converter, layer, size):
     zeros = [list_windows(*side, layer.config["padding"])[1:] for side in along]
     before = tuple(n[0] + pads[0] for n, pads in zip(zeros, signal.pads, strict=True))
     affine = signal.find_channel_affine()
-    if affine is not None and converter.maxima is None:
-        return before, None, signal.built, affine
-    is_padded = signal.is_padded or any(map(any, zeros))
-    if affine is not None and converter.maxima.padding == "valid" and not is_padded:
-        return before, converter.maxima, converter.maxima.image, affine
+    if affine is not None:
+        return before, None, affine
     means = converter.means
+    is_padded = signal.is_padded or any(map(any, zeros))
     if means is None or means.map is not signal.map or is_padded:
         return None
-    return before, means, signal.built, means.affine
+    return before, means, means.affine
 
 
-def _pad_without_offset(converter, layer, scale, offset):
+def _pad_without_offset(converter, layer):
     """Pad zeros of the built signal instead of zeros of the normalised one."""
-    if not converter.retrain or not scale.all():
+    if not converter.retrain:
         layer.refuse(
             "zero padding after a normalisation or rescaling with an offset cannot be folded "
             f"into weights; {RETRAIN} padding before the normalisation and is trained further; "
             "or use padding='valid', or normalise before the ReLU of the layer before"
         )
-    converter.paddings[len(converter.layers)] = -offset / scale
     converter.replaced.append(f"{layer}: zeros padded before the normalisation, not after it")
 
 

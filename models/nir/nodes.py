@@ -18,6 +18,7 @@ import numpy as np
 
 from deploy import limits
 from models.nir.errors import NirError, quote
+from models.windows import spread_kernel
 
 # Nodes whose output is spikes.
 SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
@@ -210,13 +211,15 @@ def _make_convolution_reader(dimensions):
         ]
         if min(sizes) < 1:
             values.refuse("its kernel is larger than its input; use a smaller one, or padding")
+        bias = values.read_per_neuron("bias", (weight.shape[0],), 0.0)
+        # A row of positions is an image of one row.
+        rows = (1,) * (2 - dimensions)
+        weight = weight.reshape(*weight.shape[:2], *rows, *weight.shape[2:])
         parameters = {
-            "weight": weight,
-            "bias": values.read_per_neuron("bias", (weight.shape[0],), 0.0),
-            "stride": stride,
-            "padding": padding,
-            "dilation": dilation,
-            "groups": groups,
+            "weight": spread_kernel(weight, groups, (*rows, *dilation)),
+            "bias": bias,
+            "stride": (*rows, *stride),
+            "padding": (*((0, 0) for _ in rows), *padding),
         }
         return (weight.shape[0], *sizes), parameters
 

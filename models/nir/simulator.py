@@ -232,36 +232,21 @@ def _compute_affine(node, signal):
 
 def _compute_convolution(node, signal):
     weight = node["weight"]
-    dimensions = weight.ndim - 2
-    groups = node["groups"]
-    windows = _view_windows(
-        signal, weight.shape[2:], node["stride"], node["padding"], node["dilation"]
-    )
-    parts = []
-    for group, weights_of_group in enumerate(np.split(weight, groups)):
-        channels = slice(group * weight.shape[1], (group + 1) * weight.shape[1])
-        axes = (1, *range(2 + dimensions, 2 + 2 * dimensions))
-        kernel_axes = tuple(range(1, 2 + dimensions))
-        parts.append(
-            np.moveaxis(
-                np.tensordot(windows[:, channels], weights_of_group, (axes, kernel_axes)), -1, 1
-            )
-        )
-    return np.concatenate(parts, 1) + node["bias"].reshape(-1, *(1,) * dimensions)
+    images = signal.reshape(len(signal), weight.shape[1], -1, node.input_shape[-1])
+    windows = _view_windows(images, weight.shape[2:], node["stride"], node["padding"])
+    sums = np.tensordot(windows, weight, ((1, 4, 5), (1, 2, 3)))
+    return np.moveaxis(sums, -1, 1) + node["bias"][:, None, None]
 
 
-def _view_windows(signal, size, stride, padding, dilation):
-    """Views of windows, shape (n, channels, *numbers of windows, *size)."""
-    n = len(size)
-    reach = [(k - 1) * d + 1 for k, d in zip(size, dilation, strict=True)]
-    padded = np.pad(signal, ((0, 0), (0, 0), *padding))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, reach, tuple(range(2, 2 + n)))
-    steps = (*(slice(None, None, s) for s in stride), *(slice(None, None, d) for d in dilation))
-    return windows[(slice(None), slice(None), *steps)]
+def _view_windows(images, size, stride, padding):
+    """Views of windows, shape (n, channels, windows down, windows across, *size)."""
+    padded = np.pad(images, ((0, 0), (0, 0), *padding))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, size, (2, 3))
+    return windows[:, :, :: stride[0], :: stride[1]]
 
 
 def _pool(node, signal):
-    windows = _view_windows(signal, node["kernel_size"], node["stride"], node["padding"], (1, 1))
+    windows = _view_windows(signal, node["kernel_size"], node["stride"], node["padding"])
     return windows.mean((-2, -1)) if node.kind == "AvgPool2d" else windows.sum((-2, -1))
 
 

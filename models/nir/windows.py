@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.windows import Window, spread_kernel, sum_shifted
+from models.windows import Window, sum_shifted
 
 
 def find_window(nodes, shape, find_scale) -> Window | None:
@@ -56,10 +56,9 @@ def _scale(window, factors):
 
 def _convolve(window, node):
     """A convolution of channels that were only scaled before."""
-    kernel = spread_kernel(node["weight"], node["groups"], node["dilation"])
     scale = np.diagonal(window.kernel[:, :, 0, 0])
     before = tuple(zeros for zeros, _ in node["padding"])
-    return Window(kernel * scale[:, None, None], node["stride"], before, window.pool)
+    return Window(node["weight"] * scale[:, None, None], node["stride"], before, window.pool)
 
 
 def _sum_windows(window, size, stride, factor):

@@ -328,9 +328,31 @@ def exact(keras):
     }
 
 
-def inexact(keras):
+class Replacements:
+    """Keras's layers, but averages for maxima and ReLUs for other activations."""
+
+    def __init__(self, keras):
+        self.keras = keras
+
+    def __getattr__(self, name):
+        layers = self.keras.layers
+        if name in ("LeakyReLU", "PReLU", "ELU", "ReLU"):
+            return lambda *arguments, **options: layers.ReLU()
+        layer = getattr(layers, name.replace("Max", "Average"))
+        if name == "MaxPooling2D":
+            return lambda size=2, **options: layer(size, **options)
+        if name in ("Conv2D", "Dense"):
+            return lambda *arguments, activation=None, **options: layer(
+                *arguments,
+                activation=activation if activation in (None, "softmax") else "relu",
+                **options,
+            )
+        return layer
+
+
+def inexact(keras, layers=None):
     """Models that are used if training goes on; without, they are refused with that reason."""
-    layers = keras.layers
+    layers = layers or keras.layers
 
     def chain(*middle, shape=(12, 12, 1)):
         end = [layers.Flatten(), layers.Dense(3, activation="softmax")]
@@ -390,6 +412,12 @@ def inexact(keras):
             layers.MaxPooling2D(2, strides=1),
             layers.BatchNormalization(),
             layers.ReLU(),
+        ),
+        "maximum_of_maxima": chain(
+            layers.Conv2D(4, 4, activation="relu"),
+            layers.MaxPooling2D(4, strides=2, name="cause"),
+            layers.MaxPooling2D(2, strides=1),
+            layers.Conv2D(3, 1, activation="relu"),
         ),
         "prelu": chain(
             layers.Conv2D(4, 3),
@@ -455,9 +483,6 @@ def bad(keras):
         end=[layers.Flatten(), layers.Dense(3, "softmax", name="early"), layers.Dense(3)]
     )
     models["no_dense_output"] = chain(conv(), end=[])
-    models["maximum_of_maxima"] = chain(
-        conv(), layers.MaxPooling2D(3, strides=2), layers.MaxPooling2D(2, name="second")
-    )
     image = keras.Input((8, 8, 1))
     models["operation"] = keras.Model(image, layers.Dense(3)(layers.Flatten()(conv()(image / 2.0))))
     models["unknown_rows"] = chain(shape=(200,), end=[layers.Dense(3)])
@@ -518,6 +543,13 @@ def write(keras, folder, suffix):
         outputs = np.asarray(compute(inputs.astype(np.float32), training=False))
         np.savez(folder / f"{name}.npz", inputs=inputs, outputs=outputs)
         save(model, folder / name, suffix)
+    for name, twin in inexact(keras, Replacements(keras)).items():
+        arrays = [layer.get_weights() for layer in models[name].layers]
+        kinds = [type(layer).__name__ for layer in models[name].layers]
+        used = [some for some, kind in zip(arrays, kinds, strict=True) if kind != "PReLU"]
+        twin.set_weights([array for some in used for array in some])
+        inputs = np.load(folder / f"{name}.npz")["inputs"].astype(np.float32)
+        np.save(folder / f"{name}.npy", np.asarray(twin(inputs, training=False)))
     for name, model in bad(keras).items():
         if name in ("not_a_number", "infinite_variance"):
             randomise(model, 0)

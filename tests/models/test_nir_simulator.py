@@ -96,15 +96,16 @@ def test_integrate_and_fire_and_thresholds_by_hand():
 def test_windows_by_hand():
     rng = np.random.default_rng(0)
     x = rng.normal(size=(2, 5, 6))
-    node = network_of((2, 5, 6), conv(rng, 4, 1, 2, bias=1.0, stride=(1, 2), padding=(1, 0),
-                                      dilation=(2, 1), groups=2), lif()).nodes[0]  # fmt: skip
+    kind, values = conv(rng, 4, 1, 2, bias=1.0, stride=(1, 2), padding=(1, 0), dilation=(2, 1),
+                        groups=2)  # fmt: skip
+    node = network_of((2, 5, 6), (kind, values), lif()).nodes[0]
     result = run_node(node, x[None, None], H)[0, 0]
     padded = np.pad(x, ((0, 0), (1, 1), (0, 0)))
     assert result.shape == node.shape == (4, 5, 3)
     for f, row, column in np.ndindex(result.shape):
         channel = f // 2
         seen = padded[channel, row : row + 3 : 2, 2 * column : 2 * column + 2]
-        expected = (node["weight"][f, 0] * seen).sum() + node["bias"][f]
+        expected = (values["weight"][f, 0] * seen).sum() + values["bias"][f]
         assert result[f, row, column] == pytest.approx(expected)
 
 

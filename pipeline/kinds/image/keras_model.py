@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.files import hash_file
 from models.architecture import parse
 from models.keras.model import KerasModel
-from models.keras.reader import make_original_network, read_keras
+from models.keras.reader import read_keras
 from pipeline.kinds.imported import find_imported_file
 from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.recordings.dataset import Dataset
@@ -119,13 +119,11 @@ def _choose_scale(of_pixels, without, dataset):
         The model that multiplies images, and the one that takes them as they are.
     dataset : Dataset
     """
-    from models.cnn import predict
-
     images, labels = dataset.subset("train")
     images = select_evenly(images, MAX_COMPARED_SAMPLES)
     labels = select_evenly(labels, MAX_COMPARED_SAMPLES)
     accuracies = [
-        float((predict(make_original_network(model), images).argmax(1) == labels).mean())
+        float((model.compute_outputs(images).argmax(1) == labels).mean())
         for model in (of_pixels, without)
     ]
     if accuracies[1] <= accuracies[0]:
@@ -165,10 +163,8 @@ def require_better_than_chance(path, model: KerasModel, dataset: Dataset):
     ------
     UserError
     """
-    from models.cnn import predict
-
     images, labels = dataset.subset("train")
-    logits = predict(make_original_network(model), images)
+    logits = model.compute_outputs(images)
     right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
     least_accuracy = compute_wilson_interval(right, len(labels))[0]
@@ -195,11 +191,8 @@ def require_images_of_model(path, model: KerasModel, settings: Settings, dataset
     ------
     UserError
     """
-    from models.cnn import predict
-
-    network = make_original_network(model)
 
     def classify(images):
-        return predict(network, images).argmax(1)
+        return model.compute_outputs(images).argmax(1)
 
     require_images_of_network(path, settings, dataset, classify, MAX_COMPARED_SAMPLES)

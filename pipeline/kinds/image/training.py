@@ -2,7 +2,6 @@
 
 from deploy.files import copy_file
 from models.architecture import parse
-from models.keras.reader import make_original_network
 from pipeline.kinds.diagnosis import compute_fastest_rate, describe_neurons, measure_activity
 from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.image.keras_model import name_copied_model, read_usable_model
@@ -90,7 +89,6 @@ def _collect_samples(dataset, augmentation):
 
 def _adopt_model(model, settings, dataset, say):
     """The user's model as the CNN; it is trained further if something in it was replaced."""
-    from models.cnn import predict
     from pipeline.training.images.networks import TrainedCNN
 
     for note in (*model.notes, *model.replaced):
@@ -98,7 +96,7 @@ def _adopt_model(model, settings, dataset, say):
     adopted = TrainedCNN(settings, model.weights)
     if not model.replaced:
         return adopted, 0.0
-    logits_of_file = predict(make_original_network(model), dataset.inputs)
+    logits_of_file = model.compute_outputs(dataset.inputs)
     logits_of_adopted = adopted.compute_logits(dataset.inputs)
     trained, seconds = _train_cnn(settings, dataset, model.weights)
     logits_of_trained = trained.compute_logits(dataset.inputs)
