@@ -23,7 +23,7 @@ from scipy import sparse
 from models.architecture import MAX_WEIGHTS, Architecture
 from models.keras.files import ModelFileError
 from models.keras.model import LINEAR, RELU, KerasLayer, KerasModel
-from models.keras.signal import Signal, make_matrix
+from models.keras.signal import Signal, are_alike, make_matrix
 from models.ops import Dense, Pooling
 
 # Maximum number of weights of a convolution that is written as a matrix.
@@ -332,7 +332,7 @@ class LayerConverter:
     def scale_means(self, scale, offset):
         """Scale averages that a convolution may absorb, if each channel is scaled as a whole."""
         scales, offsets = (a.reshape(-1, self.signal.shape[2]) for a in (scale, offset))
-        if (scales == scales[0]).all() and (offsets == offsets[0]).all():
+        if are_alike(scales) and are_alike(offsets):
             before, constant = self.means.affine
             affine = (scales[0] * before, scales[0] * constant + offsets[0])
             self.means = replace(self.means, affine=affine, map=self.signal.map)
@@ -346,7 +346,7 @@ class LayerConverter:
         scales, offsets = (
             (self.signal.map.T @ values).reshape(-1, units) for values in (scale, offset)
         )
-        if (scales != scales[0]).any() or (offsets != offsets[0]).any():
+        if not (are_alike(scales) and are_alike(offsets)):
             return False
         last.kernel = last.kernel * scales[0]
         last.bias = last.bias * scales[0] + offsets[0]

@@ -125,7 +125,7 @@ def _compare(model, layers, converted: KerasModel):
 
     def compute_one_by_one(values):
         for layer in layers:
-            if layer.kind not in TRAINING_LAYERS:
+            if layer.kind not in ("InputLayer", *TRAINING_LAYERS):
                 values = layer.function(values)
         return values
 

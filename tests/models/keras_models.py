@@ -358,7 +358,11 @@ def inexact(keras, layers=None):
         end = [layers.Flatten(), layers.Dense(3, activation="softmax")]
         return keras.Sequential([keras.Input(shape), *middle, *end])
 
+    image = keras.Input((12, 12, 1))
+    maxima = layers.MaxPooling2D(2, name="cause")(layers.Conv2D(4, 3, activation="relu")(image))
+    end = keras.Sequential([keras.Input((5, 5, 4)), layers.Flatten(), layers.Dense(3)])
     return {
+        "maxima_in_graph": keras.Model(image, end(maxima)),
         "maxima": chain(
             layers.Conv2D(4, 3, activation="relu"),
             layers.BatchNormalization(),
@@ -544,10 +548,8 @@ def write(keras, folder, suffix):
         np.savez(folder / f"{name}.npz", inputs=inputs, outputs=outputs)
         save(model, folder / name, suffix)
     for name, twin in inexact(keras, Replacements(keras)).items():
-        arrays = [layer.get_weights() for layer in models[name].layers]
-        kinds = [type(layer).__name__ for layer in models[name].layers]
-        used = [some for some, kind in zip(arrays, kinds, strict=True) if kind != "PReLU"]
-        twin.set_weights([array for some in used for array in some])
+        used = [layer for layer in models[name].layers if type(layer).__name__ != "PReLU"]
+        twin.set_weights([array for layer in used for array in layer.get_weights()])
         inputs = np.load(folder / f"{name}.npz")["inputs"].astype(np.float32)
         np.save(folder / f"{name}.npy", np.asarray(twin(inputs, training=False)))
     for name, model in bad(keras).items():

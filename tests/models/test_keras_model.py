@@ -64,6 +64,7 @@ EXACT = {
 }
 # Of models of which something is replaced, since training goes on.
 REPLACED = {
+    "maxima_in_graph": "12x12-4c3-2a-3o",
     "maxima": "12x12-4c3-2a-5c2-2a-3o",
     "global_maximum": "12x12-4c3-10a-3o",
     "overlapping_maxima": "12x12-4c4-2a-3o",
