@@ -256,23 +256,6 @@ def _read_pooling(values, shape):
     return (shape[0], *sizes), {"kernel_size": size, "stride": stride, "padding": padding}
 
 
-def _read_flatten(values, shape):
-    ends = [values.read_array("start_dim", 0), values.read_array("end_dim", -1)]
-    if any(end.size != 1 or end.item() != np.rint(end.item()) for end in ends):
-        values.refuse("its start_dim and end_dim are not a whole number each")
-    first, last = (int(end.item()) for end in ends)
-    declared = values.values.get("input_type")
-    if isinstance(declared, dict):
-        declared = declared.get("input")
-    if declared is not None and np.size(declared) == len(shape) + 1 and first > 0:
-        first -= 1  # counted with a dimension for samples in front
-    first, last = (n + len(shape) if n < 0 else n for n in (first, last))
-    if not 0 <= first < len(shape):
-        first = 0
-    last = min(max(last, first), len(shape) - 1)
-    return (*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :]), {}
-
-
 def _read_reshape(values, shape):
     """A node that is not in NIR's paper; some exporters write it between layers."""
     names = ("shape", "output_shape", "output_type")
@@ -334,7 +317,8 @@ HANDLERS = {
     "Conv2d": _make_convolution_reader(2),
     "SumPool2d": _read_pooling,
     "AvgPool2d": _read_pooling,
-    "Flatten": _read_flatten,
+    # Also of some dimensions only: the nodes after it read the values in the same order.
+    "Flatten": lambda values, shape: ((math.prod(shape),), {}),
     "Reshape": _read_reshape,
     "Identity": lambda values, shape: (shape, {}),
     "Scale": _read_scale,
