@@ -26,10 +26,10 @@ def convert_pooling(converter: LayerConverter, layer: KerasLayer):
     if is_maximum:
         # Windows without overlap, if there are as many, are those of the chip.
         counts = compute_counts(sides, size, strides, padding)
+        text = " over the same windows"
         if strides[0] == strides[1] > 1 and counts == [n // strides[0] for n in sides]:
-            size, padding = strides, "valid"
-        text = "x".join(map(str, size))
-        converter.replaced.append(f"{layer}: replaced by an average over {text}")
+            size, padding, text = strides, "valid", f"({strides[0]})"
+        converter.replaced.append(f"{layer}: replaced by AveragePooling2D{text}")
     _pool_average(converter, size, strides, padding)
     if is_global and not layer.config.get("keepdims", False):
         converter.signal.flatten()
