@@ -52,6 +52,7 @@ class SimulatedSource:
             chunked_share=data.chunked,
             tablet_share=data.tablet,
             reversed_share=data.reversed,
+            mixed_form_share=data.mixed_forms,
         )
         return cls(data.simulation_seed, data.samples_per_digit, population)
 

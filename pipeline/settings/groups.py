@@ -82,6 +82,9 @@ class Data(SettingsGroup):
     tablet: Annotated[float, between(0, 1)] = 0.15
     #: Share of the simulated people who draw a 0 or an 8 from its end to its beginning.
     reversed: Annotated[float, between(0, 1)] = 0.1
+    #: Share of the simulated recordings that have the place, size, force and contact width of any
+    #: digit; the others have those that the recordings of ST-MNIST have for their digit.
+    mixed_forms: Annotated[float, between(0, 1)] = 0.0
     #: Leave out files that cannot be read instead of stopping.
     skip_bad: bool = False
     #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the

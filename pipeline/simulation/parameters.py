@@ -44,12 +44,16 @@ class Population:
     reversed_share : float
         Share of the people who draw a 0 or an 8 from its end to its beginning, in addition to those
         who are known to do so.
+    mixed_form_share : float
+        Share of the recordings that have the place, size, force and contact of any digit.  On the
+        sensor these differ between digits, and a network that learns it expects them.
     """
 
     people: int = 1000
     chunked_share: float = 0.0
     tablet_share: float = 0.15
     reversed_share: float = 0.1
+    mixed_form_share: float = 0.0
 
 
 DEFAULT_POPULATION = Population()
@@ -99,6 +103,9 @@ class Parameters:
     chunked : float
         Share of the recordings that keep the order of events and not their time
         (:mod:`pipeline.recordings.chunks`).
+    mixed_forms : float
+        Share of the recordings that have the :class:`Form` of any digit instead of that of their
+        own.
     """
 
     writers: Any
@@ -112,6 +119,7 @@ class Parameters:
     shapes: ShapeModel
     people: int = DEFAULT_POPULATION.people
     chunked: float = 0.0
+    mixed_forms: float = 0.0
 
     def compute_hash(self) -> str:
         """Hexadecimal SHA-256 over every value."""
@@ -120,6 +128,9 @@ class Parameters:
             for field in dataclasses.fields(self)
             if field.name != "shapes"
         }
+        # A share of 0 changes nothing, so that the hash is that of the former parameters.
+        if not self.mixed_forms:
+            del values["mixed_forms"]
         text = json.dumps([values, self.shapes.compute_hash()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -160,6 +171,7 @@ def from_fit(
         shapes=shape_model.read_tablet_model().join(shapes, 1 - population.tablet_share),
         people=population.people,
         chunked=population.chunked_share,
+        mixed_forms=population.mixed_form_share,
     )
 
 

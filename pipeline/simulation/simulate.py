@@ -294,7 +294,14 @@ def scale_motion(moved, size):
     return replace(moved, down=down, right=right)
 
 
-def draw_motion(sample, who, rng, parameters):
+def draw_form(digit, rng, parameters):
+    """Place, size, force and contact of one recording: those of its digit, or of any digit."""
+    if parameters.mixed_forms and rng.random() < parameters.mixed_forms:
+        digit = rng.integers(len(parameters.forms))
+    return parameters.forms[digit]
+
+
+def draw_motion(sample, who, rng, form, parameters):
     """The pen's movement over the skin for one recording, force included.
 
     Parameters
@@ -302,13 +309,13 @@ def draw_motion(sample, who, rng, parameters):
     sample : PlannedRecording
     who : pipeline.simulation.handwriting.Writer
     rng : numpy.random.Generator
+    form : pipeline.simulation.parameters.Form
     parameters : Parameters
 
     Returns
     -------
     pipeline.simulation.handwriting.Motion
     """
-    form = parameters.forms[sample.digit]
     kinematics = parameters.kinematics
     if sample.trace is None:
         shape = handwriting.draw_shape(sample.digit, who, rng, parameters.shapes)
@@ -341,8 +348,9 @@ def _draw_waver(motion, rng, kinematics):
 
 
 def _simulate_touch(sample, who, rng, gain, parameters, size):
-    moved = scale_motion(draw_motion(sample, who, rng, parameters), size)
-    skin = draw_skin(who, rng, parameters, parameters.forms[sample.digit].contact)
+    form = draw_form(sample.digit, rng, parameters)
+    moved = scale_motion(draw_motion(sample, who, rng, form, parameters), size)
+    skin = draw_skin(who, rng, parameters, form.contact)
     gain = gain * np.exp(parameters.skin.gain_drift * rng.standard_normal(len(gain)))
     taxels, felt, speed = press_skin(moved, gain, parameters.receptor.threshold / 2, skin, size)
     return TouchSignal(moved.time_s[0], taxels, felt, speed, skin, who.session, rng)
