@@ -68,7 +68,8 @@ def _draw_hand(seed):
     p = parameters.read_parameters()
     rng = np.random.default_rng(seed)
     writer = handwriting.draw_writer(rng, p)
-    motion = simulate.draw_motion(simulate.PlannedRecording(8, 0, 0), writer, rng, p)
+    sample = simulate.PlannedRecording(8, 0, 0)
+    motion = simulate.draw_motion(sample, writer, rng, p.forms[8], p)
     first, last = np.flatnonzero(motion.force > 0.3 * motion.force.max())[[0, -1]]
     samples = np.linspace(first, last, 120).astype(int)
     positions = (motion.right[samples] + 0.5) / 10, (motion.down[samples] + 0.5) / 10

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.recordings.events import Events, join_events
-from pipeline.simulation import aces, contact
-from pipeline.simulation.contact import Receptors
+from pipeline.simulation import aces
+from pipeline.simulation.contact import Creep, Receptors, add_vibration, spread_force
 from pipeline.simulation.handwriting import NOBODY, compute_contact_force
 from pipeline.simulation.simulate import SIZE, STEP_S, compute_gain, draw_skin
 
@@ -83,10 +83,12 @@ class Writing:
         self._rng = rng
         self._size = size
         self._polarities = polarities
+        # The digit is not known: force and contact are the means of all digits.
         self._usual = np.exp(np.mean([form.force for form in parameters.forms]))
+        contact = np.mean([form.contact for form in parameters.forms])
         self._gain = gain.astype(np.float32)
-        self._skin = draw_skin(NOBODY, rng, parameters)
-        self._film = contact.Creep(n_taxels, STEP_S, parameters.skin)
+        self._skin = draw_skin(NOBODY, rng, parameters, contact)
+        self._film = Creep(n_taxels, STEP_S, parameters.skin)
         self._receptors = Receptors(
             np.zeros(n_taxels, np.float32),
             on=np.full(n_taxels, parameters.receptor.threshold, np.float32),
@@ -169,10 +171,10 @@ class Writing:
         speed = np.hypot(
             np.diff(down, prepend=self._last[0]), np.diff(right, prepend=self._last[1])
         )
-        signal = contact.spread_force(down, right, force, self._skin, self._size)
+        signal = spread_force(down, right, force, self._skin, self._size)
         signal *= self._gain
         self._film.advance(signal)
-        contact.add_vibration(signal, speed / STEP_S, self._rng, self._skin)
+        add_vibration(signal, speed / STEP_S, self._rng, self._skin)
         seconds, taxel, polarity = self._receptors.advance(signal)
         if self._polarities == 1:
             seconds, taxel, polarity = (a[polarity > 0] for a in (seconds, taxel, polarity))

@@ -90,7 +90,8 @@ def digit(number, index=0):
     """A simulated hand's motion in a third of its time."""
     who = handwriting.draw_writer(np.random.default_rng([0, 1, index]), P)
     sample = simulate.PlannedRecording(number, index, index)
-    motion = simulate.draw_motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
+    rng = np.random.default_rng([0, 2, number, index])
+    motion = simulate.draw_motion(sample, who, rng, P.forms[number], P)
     return replace(motion, time_s=motion.time_s / 3)
 
 
