@@ -45,7 +45,7 @@ function describeSilence(page) {
 function waiting({ threshold, canDraw, truth, pauseS }) {
   const early = threshold === null ? "" : `when ${percent(threshold)} sure, or `;
   const end = canDraw && truth === null ? `${pauseS} s after the last stroke` : "at the end";
-  return `Decides ${early}${end}.`;
+  return `The network decides ${early}${end}.`;
 }
 
 // The answer so far, which is open, also if the network has decided: what follows may make another class of it.
