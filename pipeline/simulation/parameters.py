@@ -128,7 +128,7 @@ class Parameters:
             for field in dataclasses.fields(self)
             if field.name != "shapes"
         }
-        # A share of 0 changes nothing, so that the hash is that of the former parameters.
+        # With a share of 0 the recordings do not depend on this parameter.
         if not self.mixed_forms:
             del values["mixed_forms"]
         text = json.dumps([values, self.shapes.compute_hash()], sort_keys=True)

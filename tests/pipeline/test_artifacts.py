@@ -169,6 +169,10 @@ DEPENDS = {
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
     ),
+    ("data.mixed_forms", 0.5): (
+        "dataset cnn cnn-matched rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
     ("data.tablet", 0.5): (
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",

@@ -92,6 +92,14 @@ def test_events_follow_the_pen():
     assert early.mean() + 2 < late.mean()
 
 
+def test_the_pen_presses_like_the_mean_of_all_digits():
+    wide = replace(P, forms=tuple(replace(form, contact=form.contact + 0.5) for form in P.forms))
+    hard = replace(P, forms=tuple(replace(form, force=form.force + 0.5) for form in P.forms))
+    reached = [len(np.unique(written(p=p).events.taxel)) for p in (P, wide, hard)]
+    assert reached[1] > reached[0]
+    assert reached[2] > reached[0]
+
+
 def test_how_time_is_divided_changes_nothing_but_rounding():
     quiet = replace(P, skin=replace(P.skin, noise=0.0, scrape=0.0))
     once = written(p=quiet, pieces=[1.0]).events

@@ -11,7 +11,13 @@ from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
 from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
 from pipeline.simulation import parameters
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import SimulationSetup, list_samples, make_source, simulate
+from pipeline.simulation.simulate import (
+    SimulationSetup,
+    draw_form,
+    list_samples,
+    make_source,
+    simulate,
+)
 
 FEW = [8] * 10
 
@@ -71,6 +77,22 @@ def test_the_hash_is_over_all_that_matters(recordings):
         make_source(5, FEW, SimulationSetup(changed)).sha256,
     }
     assert len(hashes) == 5
+
+
+def test_a_share_of_the_recordings_has_the_form_of_any_digit():
+    p = parameters.read_parameters()
+    mixed = replace(p, mixed_forms=0.5)
+    rng = np.random.default_rng(0)
+    drawn = [mixed.forms.index(draw_form(3, rng, mixed)) for _ in range(2000)]
+    counts = np.bincount(drawn, minlength=10)
+    assert counts[3] / 2000 == pytest.approx(0.55, abs=0.05)
+    assert np.delete(counts, 3).min() > 50
+    before = rng.bit_generator.state
+    assert draw_form(3, rng, p) is p.forms[3]
+    assert rng.bit_generator.state == before
+    sources = {make_source(5, FEW, SimulationSetup(each)) for each in (p, mixed)}
+    assert len({source.sha256 for source in sources}) == 2
+    assert any("any digit" in source.name for source in sources)
 
 
 def test_recordings_are_such_as_the_decoder_makes(recordings):
