@@ -190,7 +190,13 @@ def make_dataset_origin(
         reads.append("split.test_fraction")
     if settings.data.source == SIMULATED:
         reads += ["data.simulation_seed", "data.samples_per_digit"]
-        reads += ["data.writers", "data.chunked", "data.tablet", "data.reversed", "data.mixed_forms"]
+        reads += [
+            "data.writers",
+            "data.chunked",
+            "data.tablet",
+            "data.reversed",
+            "data.mixed_forms",
+        ]
     else:
         reads += ["data.time_unit", "data.downsample", "data.bin", "data.rise"]
     contents = {"recordings": recordings_sha256, "split": split}
