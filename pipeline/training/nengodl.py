@@ -84,8 +84,7 @@ def _build_filters_of_nengo_3(self, signals, config):
 
 nengo_dl.process_builders.LinearFilterBuilder.build_pre = _build_filters_of_nengo_3
 
-# Suppress messages about missing GPUs and about functions that are traced for each network.
-warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
+# Suppress messages about functions that are traced for each network.
 for _name in ("nengo_dl", "tensorflow"):
     logging.getLogger(_name).setLevel(logging.ERROR)
 
@@ -141,9 +140,7 @@ def _run_in_batches(network, images, n_steps, batch, advance=None):
     batch = min(batch, len(images))
     padding = -len(images) % batch  # NengoDL only runs full batches
     padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
-    with nengo_dl.Simulator(
-        converter.net, minibatch_size=batch, progress_bar=False, seed=converter.net.seed
-    ) as simulator:
+    with _make_simulator(converter.net, batch) as simulator:
         results = []
         for images_of_batch in np.split(padded, len(padded) // batch):
             results.append(
@@ -152,6 +149,14 @@ def _run_in_batches(network, images, n_steps, batch, advance=None):
             if advance is not None:
                 advance(min(batch, len(images) - (len(results) - 1) * batch))
     return np.concatenate(results)[: len(images)]
+
+
+def _make_simulator(network, batch):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "No GPU support")
+        return nengo_dl.Simulator(
+            network, minibatch_size=batch, progress_bar=False, seed=network.seed
+        )
 
 
 def predict(settings: Settings, weights: dict, images, n_steps: int) -> np.ndarray:

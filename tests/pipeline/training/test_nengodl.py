@@ -1,5 +1,6 @@
 """The network in NengoDL and in Nengo against the rate-based network that was trained."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -120,3 +121,10 @@ def test_the_range_of_output_neurons_is_set_by_right_and_wrong_logits():
     gain = find_gain(500.0, 0.02, 0.001) / (full - threshold)
     assert output.weights[0, 0] == pytest.approx(gain)
     assert output.bias[0] == pytest.approx(1 - gain * threshold)
+
+
+def test_a_missing_gpu_is_not_warned_of(images, weights):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        nengodl.run_rates(settings_of("paper"), weights, images[:1])
+    assert not any("GPU" in str(warning.message) for warning in caught)
