@@ -196,7 +196,11 @@ class Run:
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
         with self._open(needs_check=False) as opened:
-            return Training({name: opened.make(name) for name in opened.kind.trained_steps})
+            records: dict = {}
+            for name in opened.kind.trained_steps:
+                network = opened.kind.find_step(name).measures or name
+                records[network] = {**records.get(network, {}), **opened.make(name)}
+            return Training(records)
 
     def convert(
         self,

@@ -222,7 +222,12 @@ def test_an_existing_run_keeps_its_settings(run):
 
 def test_an_existing_run_trains_nothing_again(run):
     again = Run(run.path, quiet=True)
-    assert again.train().networks["threshold"]["epochs"] == 6
+    training = again.train()
+    assert list(training.networks) == ["events"]
+    assert training["events"]["epochs"] == 6
+    assert repr(training).startswith(
+        f"Training(events {training['events']['accuracy']['train']:.3f} "
+    )
     assert any("up to date" in note for note in again.notes)
     assert "events" in repr(again)
 
