@@ -103,8 +103,7 @@ class Operation(NotatedLayer, DeployedOperation):
     `compute_tensor_sums`,
     `make_synapses`
     `gather_inputs`                      if rounding to integers should compensate errors of weights
-    `make_keras_layer`                   where NengoDL should convert a layer of Keras (the stage
-                                         spiking-lif)
+    `make_keras_layer`                   if Keras has a layer of its own for it
     ===================================  ===========================================================
     """
 

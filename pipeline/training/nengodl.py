@@ -8,6 +8,7 @@ training (``J = 1 + gain * z``).
 import contextlib
 import importlib
 import logging
+import math
 import subprocess
 import sys
 import types
@@ -20,6 +21,7 @@ import deploy.network.loihi_import  # noqa: F401 - puts back what Nengo needs of
 from models.architecture import parse
 from models.cnn import build_cnn, find_gain, set_weights
 from models.keras.keras2 import tf
+from models.keras.operation_layer import OperationLayer
 from models.quantised import quantise_layer
 from pipeline.settings import Settings
 
@@ -83,6 +85,26 @@ def _build_filters_of_nengo_3(self, signals, config):
 
 
 nengo_dl.process_builders.LinearFilterBuilder.build_pre = _build_filters_of_nengo_3
+
+
+@nengo_dl.Converter.register(OperationLayer)
+class _ConvertOperation(nengo_dl.converter.LayerConverter):
+    """Convert the layer of any operation to a connection with all its weights.
+
+    Without it, NengoDL would run the layer in TensorFlow, and its connection would have no synapse.
+    """
+
+    has_weights = True
+
+    def convert(self, node_id):
+        operation = self.layer.operation
+        kernel, bias = tf.keras.backend.batch_get_value((self.layer.kernel, self.layer.bias))
+        matrix = operation.make_matrix(operation.to_deployed(kernel), self.input_shape(node_id))
+        biases = np.resize(bias, math.prod(self.output_shape(node_id)))
+        output = self.add_nengo_obj(node_id, biases=biases)
+        self.add_connection(node_id, output, transform=matrix, trainable=True)
+        return output
+
 
 # Suppress messages about functions that are traced for each network.
 for _name in ("nengo_dl", "tensorflow"):

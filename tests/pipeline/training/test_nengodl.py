@@ -11,6 +11,9 @@ from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.cnn import find_gain
 from models.keras.keras2 import tf
+from models.ops.base import Operation
+from models.ops.conv import Convolution
+from models.ops.dense import Dense
 from pipeline.kinds.image.spec import make_image_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
@@ -58,6 +61,16 @@ def test_the_rate_network_in_nengodl_is_the_trained_one(images, weights):
     assert ours.shape == (N, 10)
     assert trained.std() > 0.3
     np.testing.assert_allclose(ours, trained, atol=2e-4)
+
+
+def test_an_operation_without_a_layer_of_its_own_is_converted_alike(images, weights, monkeypatch):
+    settings = settings_of("paper")
+    rates = nengodl.run_rates(settings, weights, images)
+    monkeypatch.setattr(Convolution, "make_keras_layer", Operation.make_keras_layer)
+    monkeypatch.setattr(Dense, "make_keras_layer", Operation.make_keras_layer)
+    np.testing.assert_allclose(nengodl.run_rates(settings, weights, images), rates, atol=1e-4)
+    spiking = nengodl.run_network(settings, weights, images, 600)[:, 100:].mean(1)
+    assert np.abs(spiking - rates).mean() < 0.12 * rates.std()
 
 
 def test_what_ran_before_in_the_process_makes_no_difference(images, weights):
