@@ -48,7 +48,7 @@ def read_toy(content, name):
     """Read events as a list of [x, y, t in seconds, p] in JSON."""
     try:
         x, y, t, p = zip(*json.loads(content), strict=True)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise BadRecording("is not a list of events") from error
     return make_recording({"x": x, "y": y, "t_s": t, "p": p})
 

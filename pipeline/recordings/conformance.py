@@ -22,8 +22,13 @@ from pipeline.recordings.formats.recording import UNITS, BadRecording, EventReco
 # Positions at which the file is cut, as shares of its length.
 CUTS = (0.01, 0.25, 0.5, 0.9, 0.999)
 
-# Contents that are no file of any format.
-FOREIGN_CONTENTS = (b"\0", b"no recording", bytes(range(256)) * 40, b"\xff\xfe" * 500)
+# Contents that are no file of any format: rubbish, and valid JSON with values of wrong types.
+FOREIGN_CONTENTS = (
+    *(b"\0", b"no recording", bytes(range(256)) * 40, b"\xff\xfe" * 500),
+    *(b"5", b"null", b"[]", b"{}", b"[[]]", b'{"x": [1]}', b"[[0, 0, 0.1, 1], 5]"),
+    b'{"x": [1], "y": 0, "t_s": 0.1, "p": 1}\n{"x": 0, "y": null, "t_s": "a", "p": {}}\n5\n',
+    b'[{"x": [1], "y": 0, "t_s": 0.1, "p": 1}, {"x": 0, "y": 0, "t_s": 0.2, "p": 1}]',
+)
 
 
 def assert_format_conforms(
@@ -166,17 +171,17 @@ def _require_refusals(ending, content):
     """A file that is damaged or of another format is refused, or read as far as it goes."""
     cut = [content[: int(share * len(content))] for share in CUTS]
     for wrong in (b"", *cut, *FOREIGN_CONTENTS):
+        shown = f"a damaged file of {len(wrong)} bytes ({wrong[:40]!r})"
         try:
             result = READERS[ending](wrong, f"damaged{ending}")
         except BadRecording:
             continue
         except Exception as error:
             raise AssertionError(
-                f"a damaged file of {len(wrong)} bytes raises {type(error).__name__}, not "
-                f"BadRecording: {error}"
+                f"{shown} raises {type(error).__name__}, not BadRecording: {error}"
             ) from error
         assert isinstance(result, EventRecording), "a damaged file gives something else"
-        assert len(result), f"a damaged file of {len(wrong)} bytes gives a recording without events"
+        assert len(result), f"{shown} gives a recording without events"
 
 
 def _require_source(ending, contents, folder):

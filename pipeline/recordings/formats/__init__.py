@@ -10,7 +10,9 @@ and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.  A pac
 
 from pathlib import PurePosixPath
 
+from deploy.errors import UserError
 from deploy.files import POINTER_PROBLEM, is_pointer
+from deploy.terminal import escape_control
 from pipeline.recordings.formats import atis, camera, csv, hdf5
 from pipeline.recordings.formats.mat import read_mat
 from pipeline.recordings.formats.npz import read_npy, read_npz
@@ -26,6 +28,9 @@ READERS = {
     **dict.fromkeys(atis.ENDINGS, atis.read_bin),
     **dict.fromkeys(hdf5.ENDINGS, hdf5.read_hdf5),
 }
+
+# Letters of the error of a reader that are repeated in a message.
+MAX_ERROR_LETTERS = 200
 
 
 def register_format(ending: str, read):
@@ -62,7 +67,8 @@ def read_file(content: bytes, name: str):
     Raises
     ------
     BadRecording
-        The file has another format, or its content is not a recording.
+        The file has another format, or its content is not a recording; also where the reader raises
+        any error that is not a `UserError`, since readers can be those of plugins.
     """
     if not content:
         raise BadRecording("is an empty file")
@@ -73,4 +79,10 @@ def read_file(content: bytes, name: str):
         raise BadRecording(
             f"has the ending {ending!r}; recordings end in {', '.join(sorted(READERS))}"
         )
-    return READERS[ending](content, name)
+    try:
+        return READERS[ending](content, name)
+    except (BadRecording, UserError):
+        raise
+    except Exception as error:
+        text = escape_control(f"{type(error).__name__}: {error}")[:MAX_ERROR_LETTERS]
+        raise BadRecording(f"cannot be read; the reader of {ending!r} raises {text}") from error

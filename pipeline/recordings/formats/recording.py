@@ -234,10 +234,10 @@ def make_recording(events, size: tuple | None = None) -> EventRecording:
     BadRecording
         The events have another form; arrays are missing, empty, not numbers or of different
         lengths; coordinates are not whole numbers from 0, or not below the size; times are NaN or
-        negative; polarities have three values.
+        negative; polarities have three values; the size is not two whole numbers.
     """
     named, unit = _split_columns(events)
-    arrays = {name: np.asarray(array) for name, array in named.items()}
+    arrays = {name: _convert_to_array(values, repr(name)) for name, values in named.items()}
     for name, array in arrays.items():
         if array.ndim != 1 or array.dtype.kind not in "fiub" or array.dtype.itemsize > 8:
             raise BadRecording(f"{name!r} is not a row of numbers")
@@ -262,6 +262,7 @@ def make_recording(events, size: tuple | None = None) -> EventRecording:
                 event,
             )
     if size is not None:
+        _require_size(size)
         _require_inside(x, y, size)
     order = np.argsort(t, kind="stable")
     polarity = _convert_polarities(p)
@@ -275,6 +276,22 @@ def make_recording(events, size: tuple | None = None) -> EventRecording:
         size=None if size is None else (int(size[0]), int(size[1])),
         off=lowest if lowest < 1 else None,
     )
+
+
+def _convert_to_array(values, name):
+    """Convert values of a file, of any type, to an array."""
+    try:
+        return np.asarray(values)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise BadRecording(f"{name} is not an array of numbers") from error
+
+
+def _require_size(size):
+    """Refuse a size that is not two positive whole numbers."""
+    sides = _convert_to_array(size, "the size")
+    is_two_numbers = sides.shape == (2,) and sides.dtype.kind in "fiu"
+    if not is_two_numbers or not (np.isfinite(sides) & (sides >= 1) & (sides % 1 == 0)).all():
+        raise BadRecording(f"has the size {size!r}, not two whole numbers (rows, columns)")
 
 
 def _require_inside(x, y, size):
@@ -328,9 +345,11 @@ def _split_columns(events):
     is_four = isinstance(events, (tuple, list)) and len(events) == 4
     if is_four and all(isinstance(row, (list, tuple)) and len(row) == 4 for row in events):
         raise BadRecording("is four lists of four: rows or columns? give a dict of x, y, t and p")
-    if is_four and all(np.ndim(array) == 1 for array in events):
-        return dict(zip(ARRAYS, events, strict=True)), ""
-    rows = np.asarray(events)
+    if is_four:
+        arrays = [_convert_to_array(values, "a part of the events") for values in events]
+        if all(array.ndim == 1 for array in arrays):
+            return dict(zip(ARRAYS, arrays, strict=True)), ""
+    rows = _convert_to_array(events, "the list of events")
     is_three = isinstance(events, (tuple, list)) and len(events) == 3
     if is_three and all(isinstance(array, np.ndarray) for array in events):
         raise BadRecording(f"is three arrays; if these are x, y and t, {NO_POLARITY}")

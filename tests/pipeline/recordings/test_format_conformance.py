@@ -8,7 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
+from deploy.errors import UserError
 from pipeline.recordings.conformance import assert_format_conforms
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats import READERS
 from pipeline.recordings.formats.recording import (
     BadRecording,
@@ -100,7 +102,7 @@ CONTENT = json.dumps([EVENTS[name] for name in "xytp"]).encode()
 def read_well(content, name):
     try:
         x, y, t, p = json.loads(content)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise BadRecording("is not four lists of numbers") from error
     return make_recording({"x": x, "y": y, "t_s": t, "p": p})
 
@@ -111,7 +113,7 @@ def read_refusing(read):
     def refuse(content, name):
         try:
             return read(content, name)
-        except (ValueError, IndexError) as error:
+        except (ValueError, TypeError, IndexError) as error:
             raise BadRecording("is not such a file") from error
 
     return refuse
@@ -158,6 +160,44 @@ def test_a_good_reader_conforms(tmp_path, monkeypatch):
     assert_format_conforms(".toy", CONTENT, EVENTS, tmp_path)
 
 
+def test_an_unexpected_error_of_a_reader_refuses_the_file(tmp_path, monkeypatch):
+    monkeypatch.setitem(READERS, ".toy", raise_key_error)
+    for name, content in (("a/0", CONTENT), ("a/1", CONTENT), ("b/0", CONTENT), ("b/1", b"{}")):
+        path = tmp_path / f"{name}.toy"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+    with pytest.raises(UserError, match=r"b/1\.toy .*'\.toy' raises KeyError: 'x'"):
+        read_source(tmp_path, jobs=1)
+    assert len(read_source(tmp_path, jobs=1, skip_bad=True)) == 3
+
+
+COLUMNS_OF_TWO = {"x": [0, 1], "y": [0, 1], "t": [1, 2], "p": [0, 1]}
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        *({**COLUMNS_OF_TWO, name: wrong} for name in "xytp" for wrong in ([[1], 0], [0, None])),
+        *({**COLUMNS_OF_TWO, "x": wrong} for wrong in (5, None, "ab", {}, [{}, 1], [0, 10**30])),
+        *(5, None, "abcd", {}, [], [[0, 0, 0.1, 1], 5], [1, 2, 3, 4], [[1], [[2]], None, "a"]),
+        *([[1, [2]], [1, 2], [1, 2], [0, 1]], [[0, 0, [1], 1], [0, 0, 2, 1], [0, 0, 3, 1]]),
+        {1: [2], None: [3]},
+    ],
+    ids=str,
+)
+def test_values_of_wrong_types_are_refused(events):
+    with pytest.raises(BadRecording):
+        make_recording(events)
+
+
+@pytest.mark.parametrize(
+    "size", [5, (3,), "ab", ("a", "b"), ([3], 4), (0, 4), (3.5, 4), (np.nan, 4)]
+)
+def test_a_size_of_a_wrong_type_is_refused(size):
+    with pytest.raises(BadRecording, match="size"):
+        make_recording(ARRAYS, size=size)
+
+
 @pytest.mark.parametrize(
     ("size", "stated", "said"),
     [
@@ -183,7 +223,7 @@ def test_a_recording_with_a_size_has_no_event_outside():
 
 
 def read_numbers(content, name):
-    taxel, time_ns = np.array(json.loads(content))
+    taxel, time_ns = np.array(json.loads(content), np.int64)
     return make_numbered_recording(taxel, time_ns, np.ones(2, np.int8), 1 + taxel.max())
 
 
