@@ -7,10 +7,12 @@ from typing import Dict, Optional, Tuple
 
 import numpy as np
 
+from ..errors import UserError
 from ..network.readout import select_readout
 from ..network.reference import make_input_spikes, run_reference
 from ..network.responses import make_responses
 from ..network.spec import NetworkSpec
+from ..network.stimulus import ImageSpikes
 from ..targets.options import Options
 from ..targets.registry import REAL_NUMBERS, Target, find_target, run_target
 from .networks import (
@@ -44,7 +46,8 @@ def assert_target_conforms(target: Target, options: Optional[Options] = None):
     with recurrent neurons.  These are the mistakes: outputs of wrong shapes and types, samples or
     streams that disturb each other, and outputs that are not those of the network: if the target is
     exact, those of the chip's emulator, otherwise those of
-    :func:`deploy.network.reference.run_reference`, up to the target's ``tolerance``.
+    :func:`deploy.network.reference.run_reference`, up to the target's ``tolerance``.  A target with
+    ``refuses_unfit_itself`` must refuse a network that the chip's integers cannot hold.
 
     Parameters
     ----------
@@ -58,6 +61,8 @@ def assert_target_conforms(target: Target, options: Optional[Options] = None):
     AssertionError, ValueError
     """
     tried = _Tried(target, _choose_options(target, options))
+    if target.refuses_unfit_itself:
+        _assert_refusal(tried)
     _assert_forms(tried)
     for title, (spec, samples) in make_busy_networks().items():
         _assert_values(tried, title, spec, samples)
@@ -77,6 +82,25 @@ def assert_output_forms(target: Target, options: Optional[Options] = None):
 def _choose_options(target, options):
     """The given options, or else the target's defaults."""
     return target.options() if options is None and target.options is not None else options
+
+
+def make_unfit_network() -> NetworkSpec:
+    """A network that the chip's integers cannot hold: its input weights need 17 bits."""
+    return replace(make_image_network(), stimulus=ImageSpikes(max_rate=1e-3))
+
+
+def _assert_refusal(tried):
+    """Require an error for a network that the chip's integers cannot hold."""
+    spec = make_unfit_network()
+    stream = spec.flatten_samples(draw_images(spec, 1, np.random.default_rng(0)))
+    try:
+        list(tried.run(spec, [stream]))
+    except UserError:
+        return
+    raise AssertionError(
+        "the target runs a network that the chip's integers cannot hold; leave out "
+        "refuses_unfit_itself"
+    )
 
 
 def _assert_forms(tried):

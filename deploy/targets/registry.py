@@ -11,8 +11,8 @@ To add a target:
 3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.  A
    package of yours calls :func:`register_target` instead, in a plugin (:mod:`deploy.plugins`).
 4. Set ``in_ladder`` if every ladder should have a row of it.
-5. Set ``must_fit_integers`` unless the function itself refuses what the chip's integers cannot
-   hold.
+5. Set ``refuses_unfit_itself`` if the function raises a `UserError` for a network that the chip's
+   integers cannot hold; otherwise such a network is refused before the function is called.
 6. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
    of runs then take its counts.  Otherwise set ``tolerance`` if it computes in real numbers, or
    rounds more than the chip.
@@ -43,6 +43,11 @@ if TYPE_CHECKING:
 REAL_NUMBERS = 1e-6
 ROUNDED = 0.15
 
+NOT_TESTED = (
+    "it was not tested whether the network fits the chip's integers, since NengoLoihi cannot be "
+    "imported"
+)
+
 
 @dataclass(frozen=True)
 class Target:
@@ -69,9 +74,9 @@ class Target:
         Additional information for readers of its results; empty if the title is sufficient.
     is_slow : bool
         True if the whole test set takes minutes.
-    must_fit_integers : bool
-        True if a network that the chip's integers cannot hold is refused before the target runs,
-        since the target itself would run it: see :func:`refuse_unfit`, which needs NengoLoihi.
+    refuses_unfit_itself : bool
+        True if ``run`` raises a `UserError` for a network that the chip's integers cannot hold.
+        Otherwise :func:`refuse_unfit` refuses it before the target runs, with NengoLoihi.
     needs_board : bool
         True if the target is hardware.
     is_exact : bool
@@ -95,7 +100,7 @@ class Target:
     title: str
     note: str = ""
     is_slow: bool = False
-    must_fit_integers: bool = False
+    refuses_unfit_itself: bool = False
     needs_board: bool = False
     is_exact: bool = False
     tolerance: float = ROUNDED
@@ -123,7 +128,6 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("simulators", "run_nengo"),
             title="Nengo's reference simulator",
             is_slow=True,
-            must_fit_integers=True,
             in_ladder=True,
         ),
         Target(
@@ -132,7 +136,6 @@ TARGETS: Dict[str, Target] = {
             title="Loihi's network before rounding",
             tolerance=REAL_NUMBERS,
             is_slow=True,
-            must_fit_integers=True,
             in_ladder=True,
         ),
         Target(
@@ -140,6 +143,7 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("simulators", "run_emulator"),
             title="Emulated Loihi",
             is_slow=True,
+            refuses_unfit_itself=True,
             is_exact=True,
             in_ladder=True,
         ),
@@ -148,12 +152,14 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("fast", "run_fast"),
             title="Emulated Loihi (fast)",
             note="bit-identical to NengoLoihi's emulator",
+            refuses_unfit_itself=True,
             is_exact=True,
         ),
         Target(
             name="loihi",
             run=import_when_called("board", "run_loihi"),
             title="Loihi 1 through NxSDK",
+            refuses_unfit_itself=True,
             needs_board=True,
             in_ladder=True,
             options=BoardOptions,
@@ -282,21 +288,24 @@ def select_options(target: str, **values) -> Optional[Options]:
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
-    """Refuse a network whose values do not fit the chip's integers, for targets that require it.
+    """Refuse a network whose values do not fit the chip's integers, unless the target does so.
 
     This builds NengoLoihi's model once more, so it is called once for all samples and not for each
-    stream.
+    stream.  On a host without NengoLoihi, a warning says that it was not tested.
 
     Raises
     ------
     UserError
         There is no target of that name, or NengoLoihi cannot build the network.
     """
-    if not find_target(target).must_fit_integers:
+    if find_target(target).refuses_unfit_itself:
         return
-    from ..network.build import build_nengo_network  # needs Nengo, which a target need not have
-    from ..network.loihi_import import require_integers
-
+    try:
+        from ..network.build import build_nengo_network
+        from ..network.loihi_import import require_integers
+    except ImportError as error:  # a target need not have Nengo
+        remark(f"{WARNING}{NOT_TESTED}: {error}")
+        return
     require_integers(build_nengo_network(spec, seed).network)
 
 

@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 
 from deploy.conformance.operations import assert_deployed_operation_conforms
-from deploy.conformance.targets import assert_output_forms, assert_target_conforms
+from deploy.conformance.targets import (
+    assert_output_forms,
+    assert_target_conforms,
+    make_unfit_network,
+)
 from deploy.errors import UserError
 from deploy.network.ops import DEPLOYED_OPERATIONS
 from deploy.network.output import TargetOutput
 from deploy.network.reference import run_reference
-from deploy.targets.registry import REAL_NUMBERS, TARGETS, Target
+from deploy.targets.registry import REAL_NUMBERS, TARGETS, Target, run_target
 from models.conformance import assert_operation_conforms
 from models.ops import OPERATIONS, Convolution, Dense, register_operation
 from tests.deploy.networks import bundle_at
@@ -165,6 +169,20 @@ def test_targets_conform(target):
     assert_target_conforms(target)
 
 
+def test_a_target_that_runs_an_unfit_network_is_found():
+    target = replace(REFERENCE, refuses_unfit_itself=True)
+    with pytest.raises(AssertionError, match="leave out refuses_unfit_itself"):
+        assert_target_conforms(target)
+
+
+def test_a_target_refuses_an_unfit_network_by_default(monkeypatch):
+    monkeypatch.setitem(TARGETS, "reference", REFERENCE)
+    spec = make_unfit_network()
+    images = np.zeros((1, *spec.input_shape))
+    with pytest.raises(UserError, match="17 bits"):
+        run_target(spec, images, "reference")
+
+
 def round_weights(layer, n_bits):
     step = np.abs(layer.weights).max() / (2 ** (n_bits - 1) - 1)
     return replace(layer, weights=step * np.rint(layer.weights / step))
@@ -213,8 +231,9 @@ run_check(read_bundle(Path(sys.argv[1])), "reference", Path(sys.argv[2]))
 def test_a_check_on_a_target_without_nengo_needs_no_nengo(tmp_path):
     bundle_at(tmp_path / "bundle")
     command = [sys.executable, "-c", WITHOUT_NENGO, tmp_path / "bundle", tmp_path / "result.json"]
-    subprocess.run(command, check=True)
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert json.loads((tmp_path / "result.json").read_text())["target"] == "reference"
+    assert "it was not tested whether the network fits" in done.stderr
 
 
 def run_without_gaps(spec, streams, seed, options):
