@@ -35,6 +35,10 @@ class Limit(NamedTuple):
     expected: str
 
 
+# The limit of a number of things, of which there is at least one.
+AT_LEAST_1 = Limit(lambda value: value >= 1, "at least 1")
+
+
 def between(low, high, unit="") -> Limit:
     """The limit of a number from ``low`` to ``high``, both included."""
     return Limit(lambda value: low <= value <= high, f"from {low:.10g} to {high:.10g}{unit}")

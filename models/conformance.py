@@ -10,15 +10,16 @@ from deploy.conformance.operations import (
     assert_same_operation,
 )
 from models.architecture import Architecture, parse
-from models.ops import OPERATIONS, Dense, Operation
+from models.ops import OPERATIONS, Dense, NotatedLayer, Operation
 
 
 def assert_operation_conforms(operation: Operation, input_shape):
     """Find the usual mistakes of an operation; each is an error that names the mistake.
 
     These are the mistakes of
-    :func:`~deploy.conformance.operations.assert_deployed_operation_conforms`, and a notation that
-    is read differently, or sums that TensorFlow does not compute.
+    :func:`~deploy.conformance.operations.assert_deployed_operation_conforms`, and a notation
+    without a noun or examples for messages, one that is read differently, or sums that TensorFlow
+    does not compute.
 
     Parameters
     ----------
@@ -33,9 +34,22 @@ def assert_operation_conforms(operation: Operation, input_shape):
     assert operation.kind in OPERATIONS, (
         f"the operation {operation.kind!r} is not entered in OPERATIONS"
     )
+    _assert_words(type(operation))
     assert_deployed_operation_conforms(operation, input_shape)
     _assert_notation(operation, input_shape)
     _assert_trained(operation, input_shape, np.random.default_rng(0))
+
+
+def _assert_words(kind_of_layer):
+    """The messages about notations have a noun and right examples of it."""
+    name = kind_of_layer.__name__
+    assert kind_of_layer.noun != NotatedLayer.noun, f"{name} has no 'noun', such as 'a convolution'"
+    assert kind_of_layer.examples, f"{name} has no 'examples' of its notation"
+    for example in kind_of_layer.examples:
+        assert kind_of_layer.token.fullmatch(example), (
+            f"{name}: the example {example!r} is not in its own notation, "
+            f"{kind_of_layer.token.pattern!r}"
+        )
 
 
 def _assert_notation(operation, input_shape):

@@ -181,6 +181,8 @@ class OneToOne(ops.Operation, DeployedOneToOne):
     """The same, in the notation ``own``."""
 
     token = re.compile("own")
+    noun = "a layer of one weight for each value"
+    examples = ("own",)
 
     def __str__(self):
         return "own"
@@ -198,7 +200,7 @@ def test_an_operation(monkeypatch):
     assert spec.multiply_accumulates == {"own1": 25, "output": 75}
     assert make_plan(spec).problems == []
     own, output = spec.layers
-    with pytest.raises(WrongValue, match="one of conv, dense, own, not 'other'"):
+    with pytest.raises(WrongValue, match=f"one of {', '.join(DEPLOYED_OPERATIONS)}, not 'other'"):
         LayerRecord.read({**own.to_json(), "kind": "other"}, "layers[0]")
     spec = replace(spec, layers=(replace(own, weights=np.full(25, 3.0)), output))
     images = np.ones((2, 5, 5, 1))

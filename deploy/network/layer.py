@@ -19,6 +19,7 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from ..loading import (
+    AT_LEAST_1,
     KeyOf,
     Limit,
     WrongValue,
@@ -33,7 +34,6 @@ from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
 SYNAPSES = between(1, limits.SYNAPSES_PER_WEIGHT)
-AT_LEAST_1 = Limit(lambda value: value >= 1, "at least 1")
 SHAPE = Limit(
     lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
     f"sides of at least 1, with a product of at most {limits.NEURONS}",

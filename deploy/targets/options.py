@@ -10,7 +10,7 @@ MAX_WAIT_S = 600.0
 
 
 def option(default, help_text, minimum=None, maximum=None):
-    """A field with its range, and its help on both command lines."""
+    """A field with its help on both command lines, and its bounds; None is no bound."""
     return field(default=default, metadata={"help": help_text, "range": (minimum, maximum)})
 
 
@@ -40,13 +40,12 @@ class Options:
     def __post_init__(self):
         for entry in fields(self):
             minimum, maximum = entry.metadata["range"]
-            if minimum is None:
-                continue
             value = getattr(self, entry.name)
             flag = format_flag(entry.name)
-            if value < minimum:
+            # `not` with the allowed comparison also refuses NaN
+            if minimum is not None and not value >= minimum:
                 raise UserError(f"{flag} must be at least {minimum:g}")
-            if not value <= maximum:  # also refuses NaN
+            if maximum is not None and not value <= maximum:
                 raise UserError(f"{flag} must be at most {maximum:g}")
 
     def list_output_values(self) -> dict:

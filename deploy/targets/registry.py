@@ -84,7 +84,9 @@ class Target:
     tolerance : float
         How far its readout and its numbers of spikes may be from those of the equations, relative
         to them (:func:`deploy.conformance.targets.assert_target_conforms`): :data:`REAL_NUMBERS`,
-        :data:`ROUNDED`, or more if it rounds more.  Not read if it is exact.
+        :data:`ROUNDED`, or more if it rounds more.  Not read if it is exact.  A target that
+        computes in real numbers should state :data:`REAL_NUMBERS`: sums over many steps are
+        compared, so outputs that are a few steps late pass with the default.
     in_ladder : bool
         True if every ladder has a row of it, that of a board if there is one; see
         :func:`list_ladder_targets`.

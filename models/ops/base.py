@@ -52,9 +52,9 @@ class Synapses(NamedTuple):
 class NotatedLayer:
     """An entry between two hyphens of the notation: an operation, or a pooling before one.
 
-    A subclass has `token` and `__str__`, and the methods ``compute_shape(input_shape)``,
-    ``count_fan_out(input_shape)``, ``list_array_shapes(input_shape)`` and
-    ``make_keras_layer(name, gain)`` of :class:`Operation`.
+    A subclass has `token`, `noun`, `examples` and `__str__`, and the methods
+    ``compute_shape(input_shape)``, ``count_fan_out(input_shape)``,
+    ``list_array_shapes(input_shape)`` and ``make_keras_layer(name, gain)`` of :class:`Operation`.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class NotatedLayer:
     noun : str
         For messages, such as ``"a convolution"``.
     examples : tuple of str
-        Notations, for messages, such as ``("6c4", "6c4s2")``.
+        Notations that `token` matches, for messages, such as ``("6c4", "6c4s2")``.
     has_neurons : bool
         True if neurons follow, unless the layer is the output.
     output : bool
@@ -91,9 +91,9 @@ class Operation(NotatedLayer, DeployedOperation):
     """An operation of an architecture, with its notation and its training.
 
     A subclass has a second base, its deployed operation, which has its shapes and its sums.  It
-    adds `token` and `__str__`, and is entered in `OPERATIONS` under its `kind`.  The other methods
-    follow from the sums; an operation overrides them where it can be faster, or where its numbers
-    are not those of its notation:
+    adds `token`, `noun`, `examples` and `__str__`, and is entered in `OPERATIONS` under its `kind`.
+    The other methods follow from the sums; an operation overrides them where it can be faster, or
+    where its numbers are not those of its notation:
 
     ===================================  ===========================================================
     `from_token`                         if the notation has more than numbers

@@ -22,7 +22,7 @@ from deploy.network.output import TargetOutput
 from deploy.network.reference import run_reference
 from deploy.targets.registry import REAL_NUMBERS, TARGETS, Target, run_target
 from models.conformance import assert_operation_conforms
-from models.ops import OPERATIONS, Convolution, Dense, register_operation
+from models.ops import OPERATIONS, Convolution, Dense, NotatedLayer, register_operation
 from tests.deploy.networks import bundle_at
 from tests.test_extensions import DeployedOneToOne, FirstOptions, OneToOne, run_first_class
 
@@ -131,6 +131,20 @@ def test_an_operation_that_is_not_registered_is_found(monkeypatch):
     monkeypatch.setitem(OPERATIONS, "own", OneToOne)
     with pytest.raises(AssertionError, match="not entered in DEPLOYED_OPERATIONS"):
         assert_operation_conforms(OneToOne(), (4, 4, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "fact"),
+    [
+        ("noun", NotatedLayer.noun, "has no 'noun'"),
+        ("examples", (), "has no 'examples'"),
+        ("examples", ("own", "wrong"), "the example 'wrong' is not in its own notation"),
+    ],
+)
+def test_an_operation_without_words_for_messages_is_found(name, value, fact, one_to_one):
+    incomplete = type("Incomplete", (OneToOne,), {name: value})
+    with pytest.raises(AssertionError, match=fact):
+        assert_operation_conforms(incomplete(), (4, 4, 1))
 
 
 class Misspelt(OneToOne):

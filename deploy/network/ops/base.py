@@ -41,7 +41,7 @@ class DeployedOperation:
     `count_fan_out`,             if the sums of as many samples as there are inputs need much memory
     `make_matrix`,
     `find_largest_weights`
-    `make_transform`,               if the chip needs no synapse from every input to every neuron
+    `make_transform`,            if the chip needs no synapse from every input to every neuron
     `make_resources`
     `make_nir_nodes`             for the export to NIR, which is refused without it
     ===========================  ===================================================================
@@ -57,7 +57,9 @@ class DeployedOperation:
     is_spatial : bool
         True if the input must have rows, columns and channels.
     can_read_out : bool
-        True if it can be the last layer, and a readout on the host with several sections.
+        True if it can be the last layer, and a readout on the host with several sections.  An
+        architecture's notation has only one output, the dense layer ``No``: another operation is
+        the last layer only in a network that is made or imported otherwise.
     can_recur : bool
         True if its neurons can have weights from each other.
     """
@@ -75,7 +77,8 @@ class DeployedOperation:
         Raises
         ------
         ValueError
-            The operation is larger than its input.
+            The operation does not fit its input.  The message is a predicate, such as ``"is larger
+            than its input"``: the layer or its notation is written before it.
         """
         raise NotImplementedError
 

@@ -8,7 +8,7 @@ from typing import List, NamedTuple
 import numpy as np
 
 from ...arithmetic import divide_up
-from ...loading import Limit, limited_field, load_dataclass
+from ...loading import AT_LEAST_1, Limit, limited_field, load_dataclass
 from ..geometry import (
     compute_convolution_shape,
     compute_padded_kernel_size,
@@ -25,7 +25,6 @@ from .base import (
     list_ranges,
 )
 
-AT_LEAST_1 = Limit(lambda value: value >= 1, "at least 1")
 PADDING = Limit(
     lambda value: value in ("valid", "same") or (value.isdecimal() and 1 <= int(value) <= 1000),
     "'valid', 'same' or a number from 1 to 1000",

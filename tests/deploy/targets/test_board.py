@@ -2,7 +2,7 @@
 
 import os
 import signal
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from deploy.conformance.networks import (
 )
 from deploy.errors import UserError
 from deploy.targets import board as hardware
-from deploy.targets.options import BoardOptions
+from deploy.targets.options import BoardOptions, Options, option
 from deploy.targets.registry import run_target
 from deploy.targets.simulators import run_emulator
 from tests.command import call, missing
@@ -323,6 +323,21 @@ def test_a_command_s_options_reach_the_board(nxsdk, bundle, tmp_path, monkeypatc
 def test_senseless_settings(wrong):
     with pytest.raises(UserError, match="--" + next(iter(wrong))):
         BoardOptions(**wrong)
+
+
+@dataclass(frozen=True)
+class OneBound(Options):
+    low: int = option(0, "At least 0.", minimum=0)
+    high: float = option(0.0, "At most 1.", maximum=1)
+
+
+def test_an_option_can_have_one_bound():
+    assert OneBound(10**9, -1e9) == OneBound(low=10**9, high=-1e9)
+    with pytest.raises(UserError, match="--low must be at least 0"):
+        OneBound(low=-1)
+    for high in (1.5, float("nan")):
+        with pytest.raises(UserError, match="--high must be at most 1"):
+            OneBound(high=high)
 
 
 def test_ctrl_c_disconnects_from_the_board(nxsdk, bundle, monkeypatch):
