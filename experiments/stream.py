@@ -50,7 +50,6 @@ WAYS = {
     "arrays, each 1 ms": (False, (200_000, 1_000_000)),
 }
 
-
 # A highest rate is given as at most this many times the largest rate that was measured.
 MAX_EXTRAPOLATION = 3
 

@@ -16,7 +16,6 @@ ROOT = Path(__file__).resolve().parent.parent
 # through them while it imports and, a second long, as it ends.
 LEAVE_GARBAGE = "import atexit, gc; gc.disable(); atexit.register(gc.freeze)\n"
 
-
 # Verbs with the option --jobs, those of a group with its name.
 WITH_JOBS = ("train", "convert", "ladder", "sweep", "adapt")
 WITH_JOBS += ("data import", "data simulate", "data stats", "data plot")

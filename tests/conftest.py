@@ -51,13 +51,13 @@ gc.disable()  # until all is imported
 
 
 def pytest_collection_finish():
-    """What was imported is no garbage."""
+    """Exclude all imported objects from the search for garbage."""
     gc.freeze()
     gc.enable()
 
 
 def pytest_sessionfinish():
-    """Nor is what is left: pytest looks ten times through it, and Python again as it ends."""
+    """Exclude all remaining objects, since pytest and Python search for garbage as they end."""
     gc.freeze()
 
 
@@ -69,8 +69,11 @@ settings.load_profile("stmnist")
 
 
 def pytest_make_parametrize_id(val, argname):
-    """Bytes go by their parameter's name: a file's hold the time of day, and every process that
-    runs a part of the tests must call a test the same."""
+    """Name bytes after their parameter.
+
+    All processes that run a part of the tests must give a test the same name, but the bytes of a
+    file contain the time of day.
+    """
     return argname if isinstance(val, bytes) else None
 
 

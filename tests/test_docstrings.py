@@ -177,6 +177,6 @@ def test_names_in_docstrings_exist(package):
     """In a role, such as :mod:`pipeline.paper`, or as the type of a parameter."""
     for path in (ROOT / package).rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        result = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
-        for name in re.findall(rf"(?:`~?| : |of )({result})", text):
+        dotted_name = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
+        for name in re.findall(rf"(?:`~?| : |of )({dotted_name})", text):
             assert is_defined(name), f"{path}: {name}"

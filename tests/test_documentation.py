@@ -149,9 +149,9 @@ def test_commands_that_a_page_shows_exist(page):
     groups = {" ".join(words.split()[:n]) for words in known for n in range(len(words.split()))}
     for words in shown(read(page), "stmnist"):
         plain = list(itertools.takewhile(lambda word: re.fullmatch(r"[a-z][a-z0-9]*", word), words))
-        result = [n for n in (2, 1) if " ".join(plain[:n]) in known and len(plain) >= n]
-        if result:
-            command = known[" ".join(plain[: result[0]])]
+        lengths = [n for n in (2, 1) if " ".join(plain[:n]) in known and len(plain) >= n]
+        if lengths:
+            command = known[" ".join(plain[: lengths[0]])]
             given = {word.partition("=")[0] for word in words if re.match("--[a-z]", word)}
             assert given <= options(command), words
         else:

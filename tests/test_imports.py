@@ -59,8 +59,9 @@ def imported(path):
     return names
 
 
-# Of each package, from the ground up: a module imports from its own floor or from below.
-FLOORS = {
+# The modules and folders of each package in layers.  A module imports only modules of its own layer
+# or of an earlier one.
+LAYERS = {
     "pipeline": [
         {"interrupts", "jobs", "look", "paper", "progress"},
         {"settings"},
@@ -93,8 +94,8 @@ FLOORS = {
 }
 
 
-def rooms_imported(path):
-    """``(package, room)`` of each module of ours that a source file imports, wherever in it."""
+def list_imported_modules(path):
+    """Yield ``(package, module or folder)`` of all that a source file imports from our packages."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -106,36 +107,38 @@ def rooms_imported(path):
             continue
         for name in names:
             package, _, rest = name.partition(".")
-            room = rest.split(".")[0]
-            if package in FLOORS and (ROOT / package / room).with_suffix("").name:
-                there = (ROOT / package / room).is_dir() or (ROOT / package / f"{room}.py").exists()
-                if room and there:
-                    yield package, room
+            module = rest.split(".")[0]
+            if package in LAYERS and (ROOT / package / module).with_suffix("").name:
+                there = (ROOT / package / module).is_dir() or (
+                    ROOT / package / f"{module}.py"
+                ).exists()
+                if module and there:
+                    yield package, module
 
 
-@pytest.mark.parametrize("package", sorted(FLOORS))
-def test_imports_go_down_the_floors(package):
-    floor_of = {room: n for n, rooms in enumerate(FLOORS[package]) for room in rooms}
+@pytest.mark.parametrize("package", sorted(LAYERS))
+def test_a_module_imports_no_later_layer(package):
+    layer_of = {module: n for n, modules in enumerate(LAYERS[package]) for module in modules}
     for path in sources(package):
-        room = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
-        if room == "__init__":
+        module = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
+        if module == "__init__":
             continue
-        for other, below in rooms_imported(path):
-            if other == package and below != room:
-                assert floor_of[below] <= floor_of[room], f"{path} imports {package}.{below}"
+        for other, below in list_imported_modules(path):
+            if other == package and below != module:
+                assert layer_of[below] <= layer_of[module], f"{path} imports {package}.{below}"
 
 
 def test_the_command_line_of_a_copied_bundle_is_nobody_elses():
     for package in ("pipeline", "models"):
         for path in sources(package):
-            assert ("deploy", "cli") not in rooms_imported(path), path
+            assert ("deploy", "cli") not in list_imported_modules(path), path
 
 
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_packages_import_one_way(package):
-    result = {"stmnist", "pipeline", "models", "deploy", "experiments", "tests"}
+    ours = {"stmnist", "pipeline", "models", "deploy", "experiments", "tests"}
     for path in sources(package):
-        assert imported(path) & result <= ALLOWED[package], path
+        assert imported(path) & ours <= ALLOWED[package], path
 
 
 def test_deploy_imports_what_an_inrc_host_has():
@@ -143,7 +146,7 @@ def test_deploy_imports_what_an_inrc_host_has():
         assert imported(path) <= OF_DEPLOY | set(sys.stdlib_module_names), path
 
 
-def test_each_foreign_world_is_in_one_file():
+def test_each_large_library_is_imported_in_one_file():
     def users(name):
         return {
             path.relative_to(ROOT).as_posix()

@@ -39,7 +39,8 @@ def _describe_absent_classes(result):
     absent = result.get("classes_without_samples")
     if not absent:
         return ""
-    return f"\n{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
+    names = list_names(absent)
+    return f"\n{WARNING}classes without samples: {names}; the accuracies do not cover them"
 
 
 def format_result_on_others(result: dict) -> str:

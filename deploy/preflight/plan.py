@@ -266,10 +266,9 @@ def _list_problems(cores, chip):
             if max(used) > limit:
                 over = sum(n > limit for n in used)
                 yield (
-                    f"layer {layer}: {max(used)} {resource} on {over} of its "
-                    f"{format_count(len(used), 'core')}, {max(used) - limit} more than the "
-                    f"{limit} of a "
-                    f"core; {REMEDIES[resource].format(limit=limit)}"
+                    f"layer {layer}: up to {max(used)} {resource} on {over} of "
+                    f"{format_count(len(used), 'core')}, but a core has {limit}; "
+                    f"{REMEDIES[resource].format(limit=limit)}"
                 )
 
 
@@ -309,8 +308,8 @@ def _warn_of_layers(cores, chip):
         if unshared > limit:
             yield (
                 f"layer {layer}: {unshared} AxonCfg registers if populations cannot share them, "
-                f"{unshared - limit} more than the {limit} of a core: a board may refuse it "
-                f"(NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
+                f"but a core has {limit}: a board may refuse it (NengoLoihi issue 326); "
+                f"{REMEDIES['AxonCfg registers']}"
             )
         for name, worst, largest in (
             ("one step's input", max(core.worst_input for core in of_layer), chip.input_limit),

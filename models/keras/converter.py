@@ -29,7 +29,6 @@ from models.ops import Dense, Pooling
 # Maximum number of weights of a convolution that is written as a matrix.
 MAX_MATRIX_WEIGHTS = 20_000_000
 
-
 # Largest value of a pixel, with which an image of this project is multiplied where the first layer
 # of a model takes pixels.
 MAX_PIXEL = 255.0

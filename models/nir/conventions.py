@@ -1,10 +1,9 @@
 """Which framework wrote a graph, told from its numbers, and what its numbers mean.
 
 NIR's equations have seconds, but frameworks have steps.  Each writes its time constants and factors
-in its own way; the functions ``recognise_...`` know one way each, and
-:func:`recognise_convention` asks them
-in order.  A framework is recognised if all neurons and filters of the graph fit.  The table in
-``docs/nir.md`` has the same rules in words.
+in its own way.  Each function ``recognise_...`` knows one way, and :func:`recognise_convention`
+calls them in order.  A framework is recognised if all neurons and filters of the graph fit.  The
+table in ``docs/nir.md`` has the same rules in words.
 """
 
 from dataclasses import dataclass
@@ -26,7 +25,6 @@ NORSE_STEP_S = 1e-3
 # exporter multiplies them with its step, SpikingJelly's has multiples of 0.1 ms.
 SHORTEST_SPIKINGJELLY = 1e-4
 SHORTEST_TAU_S = 5e-3
-
 
 SNNTORCH_RESET = (
     "snnTorch does not export its reset, which by default subtracts the threshold, a step later: "

@@ -17,7 +17,6 @@ MIN_KEEP_4096THS = 2
 # Largest voltage that a bias alone may cause, as a share of the threshold.
 BIAS_CAP = 0.9
 
-
 # Ratio of the output's kernel to its trained variable, which makes the learning steps of the output
 # smaller than those of the other layers.
 OUTPUT_SCALE = 0.2

@@ -57,9 +57,8 @@ def convert_for_typer(verb: Callable) -> Callable:
     Parameters
     ----------
     verb : callable
-        Function of a command; parameters may be annotated with
-        :func:`group_options`, or with a function
-        that is called here and returns one.
+        Function of a command; parameters may be annotated with :func:`group_options`, or with a
+        function that is called here and returns one.
 
     Returns
     -------

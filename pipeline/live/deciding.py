@@ -37,7 +37,6 @@ from pipeline.recordings.sensor import Sensor, TaxelMap
 # screen.
 MAX_DRAWN_NEURONS = 4096
 
-
 # Time for which a network on events receives them, in multiples of its presentation: a slow hand
 # takes longer than the recordings of the training.
 MAX_SLOWNESS = 3

@@ -40,7 +40,6 @@ from pipeline.settings import Image
 # Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
 IGNORED_SHARE = 0.02
 
-
 # Samples that are altered at once, so that their images fit into the processor's cache.
 ALTERED_AT_ONCE = 256
 

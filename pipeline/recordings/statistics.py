@@ -26,7 +26,6 @@ LABELS = {
     "y_range": "Y range",
 }
 
-
 # The table of recordings other than digits, whose positions are not the paper's X and Y.
 OWN_LABELS = {
     name: label.replace("X", "row").replace("Y", "column")

@@ -332,9 +332,8 @@ def _describe_notes(ladder):
     if ladder.while_written:
         lines.append(describe_early_decisions(ladder.while_written, rows[-1]))
     if absent := ladder.classes_without_samples:
-        lines.append(
-            f"{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
-        )
+        names = list_names(absent)
+        lines.append(f"{WARNING}classes without samples: {names}; the accuracies do not cover them")
     return lines
 
 

@@ -18,6 +18,7 @@ A dependency cannot be forgotten.  An origin declares its settings, and the code
 artifact receives ``settings.select(origin.settings)``, which has only these.  Reading another one
 raises :class:`pipeline.settings.base.UndeclaredSetting`, in this process, in a worker or on a
 cluster.
+
 Dependencies are declared rather than recorded while the artifact is made, because a declared origin
 is known beforehand: it can be compared before any work is done, and its key is the name of an
 artifact of which several variants are stored (:class:`Library`).

@@ -24,15 +24,16 @@ from models.rounding import (
 from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, spikes, tree_of
 
 
-def in_places(values):
-    """(n, steps, channels, rows, columns), or flat, in the chip's order and flat."""
+def move_channels_last(values):
+    """Flatten values of shape (n, steps, channels, rows, columns) in the order of the chip."""
     moved = np.moveaxis(values, 2, -1) if values.ndim > 3 else values
     return moved.reshape(*values.shape[:2], -1)
 
 
-def by_layers(network, inputs, step, method):
-    """Spikes of each layer of neurons and the readout's output, in real numbers."""
-    signal, result = in_places(inputs), []
+def run_layers(network, inputs, step, method):
+    """Compute the spikes of each layer and the output of the readout, in real numbers."""
+    signal = move_channels_last(inputs)
+    result = []
     for layer in from_nir(network, step, method):
         if layer.neurons is not None:
             signal = simulate_spikes(layer, signal)
@@ -51,8 +52,8 @@ def by_layers(network, inputs, step, method):
 def compare(network, inputs, step=0.001, method="exact"):
     """Identical spikes in every layer; the readout within 1e-6."""
     reference = simulate(network, inputs, step, method, "value")
-    expected = [in_places(values) for values in reference.spikes.values()]
-    result = by_layers(network, inputs, step, method)
+    expected = [move_channels_last(values) for values in reference.spikes.values()]
+    result = run_layers(network, inputs, step, method)
     n = len(expected)
     assert sum(int(w.sum()) for w in expected) > 0
     for layer, one, other in zip(from_nir(network, step, method), result, expected, strict=False):
@@ -85,7 +86,7 @@ def test_every_kind_of_neuron_is_the_references(kind, method):
     if (kind, method) == ("CubaLIF", "exact"):
         # the change of the current within a step is lost, not its sum
         expected = simulate(network, inputs, 0.001, method).spikes["n1"].sum(1)
-        result = by_layers(network, inputs, 0.001, method)[0].sum(1)
+        result = run_layers(network, inputs, 0.001, method)[0].sum(1)
         assert np.abs(result - expected).max() <= 3
         assert result.sum() == pytest.approx(expected.sum(), rel=0.05)
         return
@@ -233,9 +234,9 @@ def test_random_graphs_spike_as_the_reference(case):
     network, rng = case
     inputs = spikes(rng, 2, 200, network.input_shape, 0.15)
     reference = simulate(network, inputs, 0.001, "euler")
-    result = by_layers(network, inputs, 0.001, "euler")
+    result = run_layers(network, inputs, 0.001, "euler")
     for one, other in zip(result, reference.spikes.values(), strict=False):
-        np.testing.assert_array_equal(one, in_places(other))
+        np.testing.assert_array_equal(one, move_channels_last(other))
     out = reference.outputs
     assert np.abs(result[-1] - out).max() <= 1e-6 * max(np.abs(out).max(), 1e-9)
 
@@ -320,7 +321,7 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
         affine(rng, 5, 16),
         lif(0.02, 8.0),
     )
-    signal = in_places(spikes(rng, 4, 100, (2, 8, 8), 0.2))
+    signal = move_channels_last(spikes(rng, 4, 100, (2, 8, 8), 0.2))
     for layer in from_nir(network, 0.001):
         near, made_up = (
             round_to_integers(layer),

@@ -29,11 +29,13 @@ POPULATION_SLOTS = 2
 class DeployedOperation:
     """A linear map from a layer's input, after average pooling, to its neurons.
 
-    A subclass with numbers, such as the number of filters, is a frozen dataclass whose fields they
-    are; the names of a layer's own values in a bundle (`deploy.network.layer.LAYER_NAMES`) are
-    reserved.  It has `kind`, `compute_shape`, `compute_weight_shape` and `compute_sums`, which is
-    its meaning: all else follows from the sums.  The other methods are for operations whose
-    defaults are not good enough:
+    A subclass with numbers, such as the number of filters, is a frozen dataclass with one field for
+    each number.  A field must not have the name of a layer's own value in a bundle
+    (`deploy.network.layer.LAYER_NAMES`).
+
+    A subclass must have `kind`, `compute_shape`, `compute_weight_shape` and `compute_sums`.  The
+    sums are its meaning, and everything else follows from them.  A subclass overrides the other
+    methods where their defaults are not good enough:
 
     ===========================  ===================================================================
     `to_file`, `from_file`       if a number is already in the layer's shape, or has another name in

@@ -142,7 +142,7 @@ def _list_warnings(provenance, result):
     lines = list(provenance.warnings)
     if absent := result.get("classes_without_samples"):
         names = list_names(absent)
-        lines.append(f"no samples of {names}; no accuracy on this page says anything about them")
+        lines.append(f"classes without samples: {names}; no accuracy on this page covers them")
     return lines
 
 

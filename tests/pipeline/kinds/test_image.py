@@ -36,11 +36,14 @@ def choose(own, made):
 
 def recordings(rows, columns, duration_ms=400):
     """Ten recordings of two classes, with an event at the start and one at the end."""
-    n, times = 10, np.array([0, duration_ms]) * 10**6
+    n = 10
+    times = np.array([0, duration_ms]) * 10**6
     events = Events(times, np.zeros(2, int), np.array([1, -1]), np.ones(2, int))
-    source, taxels = Source("made", "0" * 64, False), TaxelMap.grid(rows, columns)
+    source = Source("made", "0" * 64, False)
+    taxels = TaxelMap.grid(rows, columns)
     sensor = Sensor(rows, columns, classes=("a", "b", "c"))
-    ids, labels = [str(i) for i in range(n)], [i % 3 for i in range(n)]
+    ids = [str(i) for i in range(n)]
+    labels = [i % 3 for i in range(n)]
     return join_recordings([events] * n, labels, ids, [-1] * n, source, taxels, sensor)
 
 

@@ -41,44 +41,44 @@ def say(session, message):
     return session.handle(json.dumps(message))
 
 
-def of(replies, kind):
+def select_replies(replies, kind):
     return [reply for reply in replies if reply["type"] == kind]
 
 
-def written(session, **options):
+def write_stroke(session, **options):
     return [reply for message in stroke(**options) for reply in say(session, message)]
 
 
-def paused(session, lifted_ms=1300.0):
-    """The replies when no other stroke can belong to the recording."""
+def pause(session, lifted_ms=1300.0):
+    """Wait until no other stroke can belong to the recording; returns the replies."""
     return say(session, {"type": "pen", "now": lifted_ms + 1000 * PAUSE_S + 1, "points": []})
 
 
 def test_events_come_while_writing(session):
-    events = of(written(session), "events")
+    events = select_replies(write_stroke(session), "events")
     assert sum(bool(reply["ns"]) for reply in events) > 5  # not all at the end
     assert not events[-1]["settled"]
-    assert of(paused(session), "events")[-1]["settled"]
+    assert select_replies(pause(session), "events")[-1]["settled"]
 
 
 def test_the_events_of_the_page_are_those_that_are_kept(session, keeper):
-    replies = [*written(session), *paused(session)]
+    replies = [*write_stroke(session), *pause(session)]
     replies += say(session, {"type": "label", "label": 1})
-    saved = of(replies, "saved")[0]
+    saved = select_replies(replies, "saved")[0]
     read = read_recording((keeper.folder / saved["name"]).read_bytes())
     for name, column in (("ns", "time_ns"), ("taxel", "taxel"), ("polarity", "polarity")):
-        told = [value for reply in of(replies, "events") for value in reply[name]]
+        told = [value for reply in select_replies(replies, "events") for value in reply[name]]
         assert told == getattr(read.events, column).tolist()
     assert saved["events"] == len(read.events) > 20
     assert read.written
-    assert of(replies, "writer")[-1]["saved"] == 1
+    assert select_replies(replies, "writer")[-1]["saved"] == 1
 
 
 def test_the_answer_is_to_all_events_so_far(session):
     assert session.make_output_task() is session.make_spikes_message() is None
-    replies = written(session)
+    replies = write_stroke(session)
     assert session.make_spikes_message() is None  # nothing has been asked yet
-    n = sum(len(reply["ns"]) for reply in of(replies, "events"))
+    n = sum(len(reply["ns"]) for reply in select_replies(replies, "events"))
     answer = session.make_output_task()()
     assert (answer["events"], answer["decision"]) == (n, n % 10)
     assert sum(answer["shares"]) == pytest.approx(1)
@@ -93,7 +93,7 @@ def test_the_answer_is_to_all_events_so_far(session):
     assert len(base64.b64decode(spikes["chances"])) == 10 * len(seconds)
     assert spikes["recording"] == answer["recording"]
     assert len(base64.b64decode(spikes["layers"]["input"])) == 3 * 13
-    last = max(ns for reply in of(replies, "events") for ns in reply["ns"])
+    last = max(ns for reply in select_replies(replies, "events") for ns in reply["ns"])
     assert answer["last_ms"] == pytest.approx(1000 + (last * 1e-9 - 0.2) * 1e3)
 
 
@@ -126,7 +126,7 @@ def test_without_an_early_decision_the_verdict_is_the_answer_at_the_end(keeper):
     for message in messages[8:]:
         say(session, message)
     assert session.make_output_task()()["verdict"] is None
-    paused(session)
+    pause(session)
     answer = session.make_output_task()()
     verdict = answer["verdict"]
     assert verdict["early"] is False
@@ -135,21 +135,23 @@ def test_without_an_early_decision_the_verdict_is_the_answer_at_the_end(keeper):
 
 
 def test_a_pause_begins_another_recording_and_a_short_one_does_not(session):
-    first = of(written(session, start_ms=1000.0), "cleared")
-    second = of(written(session, start_ms=1000 + 300 + 400.0, right=6.0), "cleared")
-    third = of(written(session, start_ms=9000.0), "cleared")
+    first = select_replies(write_stroke(session, start_ms=1000.0), "cleared")
+    second = select_replies(
+        write_stroke(session, start_ms=1000 + 300 + 400.0, right=6.0), "cleared"
+    )
+    third = select_replies(write_stroke(session, start_ms=9000.0), "cleared")
     assert [len(first), len(second), len(third)] == [1, 0, 1]
     assert third[0]["recording"] == first[0]["recording"] + 1
 
 
 def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
-    replies = written(session, seconds=MAX_RECORDING_S + 2, per_message=10)
-    assert of(replies, "events")[-1]["over"]
+    replies = write_stroke(session, seconds=MAX_RECORDING_S + 2, per_message=10)
+    assert select_replies(replies, "events")[-1]["over"]
     say(session, {"type": "label", "label": 1})
     read = read_recording(next(keeper.folder.rglob("w*.mat")).read_bytes())
     assert read.events.time_ns[-1] < MAX_RECORDING_S * 1e9
-    replies = written(session, start_ms=1000.0 * (MAX_RECORDING_S + 4))
-    assert of(replies, "cleared")
+    replies = write_stroke(session, start_ms=1000.0 * (MAX_RECORDING_S + 4))
+    assert select_replies(replies, "cleared")
     assert say(session, {"type": "label", "label": 2})[1]["type"] == "saved"
 
 
@@ -173,19 +175,21 @@ def test_a_page_counts_the_recordings_of_its_own_writer(session, keeper):
 
 def test_a_mislabelled_recording_is_saved_again(session, keeper):
     """After an undo, or at once as another class."""
-    written(session)
+    write_stroke(session)
     say(session, {"type": "label", "label": 7})
     say(session, {"type": "label", "label": 3})
     assert len(keeper) == 1
-    assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 3
-    (saved,) = of(say(session, {"type": "label", "label": 8}), "saved")
+    assert select_replies(say(session, {"type": "undo"}), "undone")[0]["label"] == 3
+    (saved,) = select_replies(say(session, {"type": "label", "label": 8}), "saved")
     assert saved["name"] == "8/w001-0001.mat"
     assert len(keeper) == 1
     read = read_recording((keeper.folder / saved["name"]).read_bytes())
     assert len(read.events) == saved["events"] > 20
-    assert of(say(session, {"type": "label", "label": 8}), "problem")
+    assert select_replies(say(session, {"type": "label", "label": 8}), "problem")
     say(session, {"type": "undo"})
-    assert of(written(session, start_ms=1400.0), "cleared")  # it is not written on again
+    assert select_replies(
+        write_stroke(session, start_ms=1400.0), "cleared"
+    )  # it is not written on again
 
 
 POINT = [1.0, 4.0, 4.0, 0.5, 1]
@@ -225,18 +229,21 @@ def test_malformed_messages_are_refused(session, keeper, text):
 
 
 def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keeper, monkeypatch):
-    written(session)
+    write_stroke(session)
 
     def fails(folder, places=()):
         raise OSError(5, "Input/output error", str(folder))
 
     with monkeypatch.context() as patched:
         patched.setattr("pipeline.live.keeping._list_recordings", fails)
-        text = of(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
+        text = select_replies(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
         assert "Input/output error" in text
         patched.setattr(Keeper, "save", lambda keeper, *given: fails("disk"))
-        assert "disk: " in of(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
-    assert of(say(session, {"type": "label", "label": 1}), "saved")
+        assert (
+            "disk: "
+            in select_replies(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
+        )
+    assert select_replies(say(session, {"type": "label", "label": 1}), "saved")
 
 
 LINE = Events(205_000_000 + 20_000_000 * np.arange(40), np.arange(40), [1, -1] * 20, [1] * 40)
@@ -251,7 +258,7 @@ def test_an_example_goes_its_own_pace(session):
     assert begun["example"] == {"name": "7/0001", "label": 7}
     told = []
     for now in np.arange(5010.0, 6000.0, 50.0).tolist():
-        part = of(say(session, {"type": "pen", "now": now, "points": []}), "events")[0]
+        part = select_replies(say(session, {"type": "pen", "now": now, "points": []}), "events")[0]
         told += part["ns"]
         assert told == [ns for ns in LINE.time_ns.tolist() if ns < 1e6 * (now - 5000) + 2e8]
     assert part["settled"]
@@ -263,22 +270,22 @@ def test_an_example_is_kept_no_second_time(session, keeper):
     say(session, ASK_FOR_EXAMPLE)
     for now in np.arange(5010.0, 6000.0, 50.0).tolist():
         say(session, {"type": "pen", "now": now, "points": []})
-    assert of(say(session, {"type": "label", "label": 7}), "problem")
+    assert select_replies(say(session, {"type": "label", "label": 7}), "problem")
     assert len(keeper) == 0
     start = stroke(start_ms=9000.0)
-    assert of([r for m in start for r in say(session, m)], "cleared")
-    assert of(say(session, {"type": "label", "label": 1}), "saved")
+    assert select_replies([r for m in start for r in say(session, m)], "cleared")
+    assert select_replies(say(session, {"type": "label", "label": 1}), "saved")
     assert say(session, {**ASK_FOR_EXAMPLE, "label": None})[0]["example"]["label"] == 7
-    assert of(say(session, {**ASK_FOR_EXAMPLE, "label": 3}), "problem")
+    assert select_replies(say(session, {**ASK_FOR_EXAMPLE, "label": 3}), "problem")
 
 
 def test_a_sensor_of_ones_own(tmp_path):
     with closing(Keeper(tmp_path / "kept", Sensor(9, 12, 1, classes=("a", "b c")))) as keeper:
         session = Session(1, keeper, P)
         session.begin(Parrot(2))
-        events = of(written(session, right=11.0), "events")
+        events = select_replies(write_stroke(session, right=11.0), "events")
         assert {p for reply in events for p in reply["polarity"]} == {1}
-        saved = of(say(session, {"type": "label", "label": 1}), "saved")[0]
+        saved = select_replies(say(session, {"type": "label", "label": 1}), "saved")[0]
         assert saved["name"] == "b c/w001-0001.mat"
         read = read_recording((keeper.folder / saved["name"]).read_bytes(), 108)
         assert np.median(read.events.taxel // 9) >= 10

@@ -82,7 +82,6 @@ FILES = {
     ".txt": lambda folder: LINES,
 }
 
-
 # Endings of files that have the size of the sensor.
 WITH_SIZE = (".aedat4", ".dat", ".npz", ".raw")
 
