@@ -37,7 +37,7 @@ from experiments.fidelity import (
     MIN_BITS,
     chunk_recordings,
     count_neighbours,
-    hold_out,
+    hold_out_recordings,
     summarise_recordings,
 )
 from experiments.handwriting import estimate_shape_model
@@ -49,7 +49,7 @@ from pipeline.simulation import shape_model
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.parameters import FITTED, from_fit
 from pipeline.simulation.shape_model import ShapeModel, fit_in_box
-from pipeline.simulation.simulate import SimulationSetup, simulate
+from pipeline.simulation.simulate import SimulationSetup, simulate_recordings
 from pipeline.sources import load_recordings
 
 # Recordings of each digit that are needed at least.
@@ -248,7 +248,7 @@ def _measure_box(strokes):
 def simulate_fit(fit: dict, shapes: ShapeModel, samples_per_digit: int, seed: int, jobs: int):
     """Bits and labels of recordings that are simulated with a fit."""
     setup = SimulationSetup(from_fit(fit, shapes))
-    recordings = simulate(seed, [samples_per_digit] * 10, jobs, setup=setup)
+    recordings = simulate_recordings(seed, [samples_per_digit] * 10, jobs, setup=setup)
     return chunk_recordings(recordings), recordings.labels
 
 
@@ -364,7 +364,7 @@ def read_target(source: Path, jobs: int) -> tuple:
     recordings = load_recordings(str(source), jobs=jobs)
     if not are_digits(recordings.sensor.classes):
         raise UserError(f"{source}: its classes are not the ten digits; give recordings of digits")
-    recordings, _ = hold_out(recordings)
+    recordings, _ = hold_out_recordings(recordings)
     counts = np.bincount(recordings.labels, minlength=10)
     if counts.min() < MIN_RECORDINGS_PER_DIGIT:
         raise UserError(

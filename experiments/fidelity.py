@@ -145,7 +145,7 @@ def _measure_largest(active):
     return sizes.T
 
 
-def hold_out(recordings: Recordings) -> tuple:
+def hold_out_recordings(recordings: Recordings) -> tuple:
     """Real recordings for a fit, and a fifth of them that is held out for a test of it.
 
     The test part of a published split is in neither.
@@ -287,7 +287,7 @@ def main(
     is_known = np.arange(len(recordings)) % 4 > 0
     trains = {"simulated": (simulated, recordings.labels)}
     tests = {"simulated": (simulated[~is_known], recordings.labels[~is_known])}
-    fit, held_out = hold_out(real)
+    fit, held_out = hold_out_recordings(real)
     trains["real"] = chunk_recordings(fit), fit.labels
     tests["real"] = chunk_recordings(held_out), held_out.labels
     training_recordings = {"simulated": (simulated[is_known], recordings.labels[is_known])}

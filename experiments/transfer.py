@@ -13,7 +13,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import align_rows
 from deploy.terminal import show
-from experiments.fidelity import hold_out
+from experiments.fidelity import hold_out_recordings
 from pipeline.api.run import Run
 from pipeline.commands import options
 from pipeline.recordings.sensor import are_digits
@@ -76,7 +76,7 @@ def main(
     real = load_recordings(str(data), jobs=jobs)
     if not are_digits(real.sensor.classes):
         raise UserError(f"{data}: its classes are not the ten digits; give recordings of digits")
-    _, held_out = hold_out(real)
+    _, held_out = hold_out_recordings(real)
     rows = [measure_input(kind, runs / kind, held_out, seed, jobs) for kind in INPUTS]
     result = {
         "experiment": "transfer",

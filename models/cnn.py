@@ -287,7 +287,7 @@ def list_dropped_layers(model: tf.keras.Model) -> list:
     return [layer for layer in model.layers if getattr(layer, "dropout", 0)]
 
 
-def predict(model: tf.keras.Model, images) -> np.ndarray:
+def compute_logits(model: tf.keras.Model, images) -> np.ndarray:
     """Logits of images (n_samples, rows, columns, channels), shape (n_samples, outputs)."""
     return np.concatenate([model(batch, training=False) for batch in _split_into_batches(images)])
 

@@ -24,7 +24,7 @@ from pipeline.recordings.sensor import GRID
 from pipeline.recordings.splits import PUBLISHED, RANDOM
 from pipeline.settings import SIMULATED, Settings
 from pipeline.simulation.parameters import DEFAULT_POPULATION, Population, read_parameters
-from pipeline.simulation.simulate import SimulationSetup, make_source, simulate
+from pipeline.simulation.simulate import SimulationSetup, make_source, simulate_recordings
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def load_simulated(
     recordings = read_stored(path)
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:
-            new_recordings = simulate(seed, counts, jobs, advance, setup)
+            new_recordings = simulate_recordings(seed, counts, jobs, advance, setup)
             recordings = store_and_load_recordings(path, new_recordings)
     return recordings
 

@@ -120,7 +120,7 @@ def _make_function(model, compute):
 
 def _compare(model, layers, converted: KerasModel):
     """Refuse a model that is no chain of its layers, or that has an effect in prediction only."""
-    from models.cnn import build_cnn, predict, set_weights
+    from models.cnn import build_cnn, compute_logits, set_weights
     from models.keras.keras2 import tf
 
     def compute_one_by_one(values):
@@ -139,7 +139,7 @@ def _compare(model, layers, converted: KerasModel):
         else:
             network = build_cnn(converted.architecture)
             set_weights(network, converted.weights)
-            logits = predict(network, images)
+            logits = compute_logits(network, images)
             if math.prod(model.output_shape[1:]) == 1:  # its sigmoid is that of their difference
                 logits = np.hstack([logits[:, :1] - logits[:, 1:], logits[:, 1:] - logits[:, :1]])
             computed = np.asarray(converted.end.function(tf.constant(logits)))

@@ -109,14 +109,14 @@ class Operation(NotatedLayer, DeployedOperation):
 
     # --- weights ----------------------------------------------------------------------------------
 
-    def compute_kernel_shape(self, input_shape) -> tuple:
+    def compute_kernel_shape(self, pooled_shape) -> tuple:
         """Shape of the trained kernel."""
-        return self.compute_weight_shape(input_shape)
+        return self.compute_weight_shape(pooled_shape)
 
-    def list_array_shapes(self, input_shape) -> dict:
+    def list_array_shapes(self, pooled_shape) -> dict:
         """Shapes of the trained arrays, ``"kernel"`` and ``"bias"``."""
-        bias = self.compute_shape(input_shape)[-1:]
-        return {"kernel": self.compute_kernel_shape(input_shape), "bias": bias}
+        bias = self.compute_shape(pooled_shape)[-1:]
+        return {"kernel": self.compute_kernel_shape(pooled_shape), "bias": bias}
 
     def to_deployed(self, kernel, n_sections: int = 1) -> np.ndarray:
         """A trained kernel in the order of :attr:`deploy.network.layer.Layer.weights`.
@@ -133,17 +133,17 @@ class Operation(NotatedLayer, DeployedOperation):
         """The operation without its training, as a deployed layer with an output shape has it."""
         return DEPLOYED_OPERATIONS[self.kind].from_file(self.to_file(), shape)
 
-    def count_fan_in(self, input_shape) -> int:
+    def count_fan_in(self, pooled_shape) -> int:
         """Largest number of inputs of a neuron; initial weights have a variance of one over it.
 
         `count_fan_out` is the number of synapses in the other direction.
         """
-        return int((self.find_synapses(input_shape) >= 0).sum(0).max())
+        return int((self.find_synapses(pooled_shape) >= 0).sum(0).max())
 
-    def _find_kernel_entries(self, input_shape) -> np.ndarray:
+    def _find_kernel_entries(self, pooled_shape) -> np.ndarray:
         """As `find_synapses`, as an index into the flat kernel."""
-        synapses = self.find_synapses(input_shape)
-        kernel_shape = self.list_array_shapes(input_shape)["kernel"]
+        synapses = self.find_synapses(pooled_shape)
+        kernel_shape = self.list_array_shapes(pooled_shape)["kernel"]
         numbers = np.arange(math.prod(kernel_shape)).reshape(kernel_shape)
         return np.where(synapses < 0, -1, self.to_deployed(numbers).ravel()[synapses])
 
@@ -156,7 +156,7 @@ class Operation(NotatedLayer, DeployedOperation):
         ----------
         kernel : tensor
         frames : tensor, shape (frames, ...)
-            In the operation's input shape each.
+            In the operation's ``pooled_shape`` each.
 
         Returns
         -------
@@ -164,12 +164,12 @@ class Operation(NotatedLayer, DeployedOperation):
         """
         from models.keras.keras2 import tf
 
-        input_shape = tuple(frames.shape[1:])
-        entries = self._find_kernel_entries(input_shape)
+        pooled_shape = tuple(frames.shape[1:])
+        entries = self._find_kernel_entries(pooled_shape)
         weights = tf.concat([tf.reshape(kernel, [-1]), tf.zeros(1, kernel.dtype)], 0)
         matrix = tf.gather(weights, np.where(entries < 0, weights.shape[0] - 1, entries))
         sums = tf.matmul(tf.reshape(frames, (-1, len(entries))), matrix)
-        return tf.reshape(sums, (-1, *self.compute_shape(input_shape)))
+        return tf.reshape(sums, (-1, *self.compute_shape(pooled_shape)))
 
     def make_keras_layer(self, name: str, gain: float | None = None):
         """The layer of Keras that computes its sums, for networks on images.
@@ -184,9 +184,9 @@ class Operation(NotatedLayer, DeployedOperation):
 
         return OperationLayer(self, gain, name=name)
 
-    def make_synapses(self, input_shape) -> Synapses:
+    def make_synapses(self, pooled_shape) -> Synapses:
         """The synapses for the compiled functions that train networks on events."""
-        entries = self._find_kernel_entries(input_shape)
+        entries = self._find_kernel_entries(pooled_shape)
         source, target = np.nonzero(entries >= 0)
         first = np.concatenate([[0], np.cumsum((entries >= 0).sum(1))])
         return Synapses(first, target, entries[source, target], 1)

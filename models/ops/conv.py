@@ -29,8 +29,8 @@ class Convolution(Operation, DeployedConvolution):
         filters, kernel_size, stride = (int(n) for n in match.groups("1")[:3])
         return cls(filters, kernel_size, stride, "same" if match[4] else "valid")
 
-    def count_fan_in(self, input_shape):
-        return self.kernel_size**2 * input_shape[2]
+    def count_fan_in(self, pooled_shape):
+        return self.kernel_size**2 * pooled_shape[2]
 
     def make_keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
@@ -47,10 +47,10 @@ class Convolution(Operation, DeployedConvolution):
 
         return tf.nn.conv2d(frames, kernel, self.stride, self.padding.upper())
 
-    def make_synapses(self, input_shape):
-        rows, columns, channels = input_shape
-        (top, _), (left, _) = self.compute_padding(input_shape)
-        out_rows, out_columns, _ = self.compute_shape(input_shape)
+    def make_synapses(self, pooled_shape):
+        rows, columns, channels = pooled_shape
+        (top, _), (left, _) = self.compute_padding(pooled_shape)
+        out_rows, out_columns, _ = self.compute_shape(pooled_shape)
         out_row, out_column, kernel_row, kernel_column, channel = np.indices(
             (out_rows, out_columns, self.kernel_size, self.kernel_size, channels)
         ).reshape(5, -1)
@@ -60,7 +60,7 @@ class Convolution(Operation, DeployedConvolution):
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         order = np.flatnonzero(inside)
         order = order[np.argsort(source[order], kind="stable")]
-        counts = np.bincount(source[order], minlength=math.prod(input_shape))
+        counts = np.bincount(source[order], minlength=math.prod(pooled_shape))
         return Synapses(
             np.concatenate([[0], np.cumsum(counts)]),
             (out_row * out_columns + out_column)[order],

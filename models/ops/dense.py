@@ -36,15 +36,15 @@ class Dense(Operation, DeployedDense):
     def from_token(cls, match):
         return cls(int(match[1]), output=bool(match[2]))
 
-    def compute_kernel_shape(self, input_shape):
-        return (math.prod(input_shape), self.units)
+    def compute_kernel_shape(self, pooled_shape):
+        return (math.prod(pooled_shape), self.units)
 
     def to_deployed(self, kernel, n_sections=1):
         by_section = kernel.reshape(n_sections, -1, self.units).swapaxes(1, 2)
         return by_section.reshape(-1, by_section.shape[2])
 
-    def count_fan_in(self, input_shape):
-        return math.prod(input_shape)
+    def count_fan_in(self, pooled_shape):
+        return math.prod(pooled_shape)
 
     def make_keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
@@ -58,8 +58,8 @@ class Dense(Operation, DeployedDense):
 
         return tf.matmul(tf.reshape(frames, (-1, kernel.shape[0])), kernel)
 
-    def make_synapses(self, input_shape):
-        inputs = math.prod(input_shape)
+    def make_synapses(self, pooled_shape):
+        inputs = math.prod(pooled_shape)
         return Synapses(
             np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs), self.units
         )

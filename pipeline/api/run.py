@@ -279,7 +279,9 @@ class Run:
         """
         with self._collect_notes(), self._put_on_disk(recordings) as path:
             others = OtherRecordings(str(path), jobs=self._jobs)
-            predictions = other_recordings.predict(self.bundle, others, target, self._say)
+            predictions = other_recordings.predict_recordings(
+                self.bundle, others, target, self._say
+            )
         if isinstance(recordings, Recordings):  # whose files have their numbers as names
             numbered = {int(PurePath(each.recording).name): each for each in predictions}
             predictions = [

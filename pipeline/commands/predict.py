@@ -31,7 +31,7 @@ def predict(  # noqa: PLR0913 - each is an option of the command
     from deploy.check.bundle import read_bundle
     from pipeline.api.results import Predictions
     from pipeline.results.check_on_others import OtherRecordings
-    from pipeline.results.other_recordings import predict as predict_recordings
+    from pipeline.results.other_recordings import predict_recordings
 
     folder = options.find_bundle(bundle)
     opened = read_bundle(folder)

@@ -120,7 +120,7 @@ class Live:
     make_decider : callable
         Returns the :class:`~pipeline.live.deciding.PageDecider`; may take long.
     keeper : Keeper
-    p : pipeline.simulation.parameters.Parameters
+    parameters : pipeline.simulation.parameters.Parameters
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
     make_examples : callable, optional
@@ -128,11 +128,11 @@ class Live:
         when the network is ready.
     """
 
-    def __init__(self, make_decider, keeper: Keeper, p, about: dict, make_examples=list):
+    def __init__(self, make_decider, keeper: Keeper, parameters, about: dict, make_examples=list):
         self._make_examples = make_examples
         self._make_decider = make_decider
         self._keeper = keeper
-        self._p = p
+        self._parameters = parameters
         self._about = about
         self._numbers = itertools.count(1)
         self._open = 0
@@ -212,7 +212,7 @@ class Live:
             self._open -= 1
 
     async def _serve_page(self, socket):
-        session = Session(next(self._numbers), self._keeper, self._p)
+        session = Session(next(self._numbers), self._keeper, self._parameters)
         page = _Page(socket, session)
         loop = asyncio.get_running_loop()
         hello = {

@@ -34,13 +34,13 @@ class Session:
     number : int
         Unique among the sessions of a server; seed of the skin's noise and of the examples' order.
     keeper : Keeper
-    p : pipeline.simulation.parameters.Parameters
+    parameters : pipeline.simulation.parameters.Parameters
     """
 
-    def __init__(self, number, keeper: Keeper, p):
+    def __init__(self, number, keeper: Keeper, parameters):
         self._number = number
         self._keeper = keeper
-        self._p = p
+        self._parameters = parameters
         self._decider: PageDecider | None = None
         self._examples: Examples | None = None
         self._sensor = keeper.sensor
@@ -167,7 +167,7 @@ class Session:
         self._recordings += 1
         seed = (2, self._number, self._recordings)
         sensor = self._sensor
-        writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
+        writing = Writing(seed, self._parameters, (sensor.rows, sensor.columns), sensor.polarities)
         self.recording = OpenRecording(
             self._recordings, page_ms, self._decider.begin(), writing, self._writer
         )

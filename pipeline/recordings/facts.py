@@ -28,7 +28,7 @@ def format_facts(facts: dict, recordings: Recordings) -> str:
     )
     source = escape_control(facts["source"])
     text = f"{facts['samples']} {recordings_name} in {source}; of each class: {of_each}\n"
-    text += format_count(facts)
+    text += format_event_count(facts)
     if len(facts["samples_per_class"]) == 1:
         text += "\nA network needs recordings of at least two classes."
     if sensor != Sensor():
@@ -36,7 +36,7 @@ def format_facts(facts: dict, recordings: Recordings) -> str:
     return text
 
 
-def format_count(facts: dict, polarities: str = "") -> str:
+def format_event_count(facts: dict, polarities: str = "") -> str:
     """The number of physical events, and that of the file's columns if it is another one."""
     if facts["columns"] == facts["events"]:
         return f"{facts['events']} events{polarities}"

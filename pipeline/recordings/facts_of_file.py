@@ -9,7 +9,7 @@ from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
 from deploy.terminal import escape_control
 from pipeline.recordings.events import TICK_NS
-from pipeline.recordings.facts import format_count
+from pipeline.recordings.facts import format_event_count
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.recording import (
     MAX_DURATION_S,
@@ -101,7 +101,7 @@ def format_facts_of_file(name: str, facts: dict) -> str:
     if facts.get("source") == "written":
         remark = " (written by hand on the simulated sensor)"
     polarities = f" ({facts['on']} ON, {facts['off']} OFF)"
-    counts = format_count(facts, polarities)
+    counts = format_event_count(facts, polarities)
     text = f"{escape_control(name)}{remark}: {counts} of {facts['taxels']} taxels"
     if "sensor" in facts:
         text += " in " + format_size(facts["sensor"]["rows"], facts["sensor"]["columns"])

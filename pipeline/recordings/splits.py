@@ -53,11 +53,11 @@ class Split:
         Parameters
         ----------
         seed : int
-            Seed of :func:`hold_out`.
+            Seed of :func:`hold_out_samples`.
         """
         if len(self.validation):
             return self.train, self.validation
-        return hold_out(self.train, seed)
+        return hold_out_samples(self.train, seed)
 
     def draw_check_samples(self, n_samples: int, seed: int) -> np.ndarray:
         """Draw the samples of the check; see :func:`draw_check_samples`.
@@ -322,7 +322,7 @@ def split_by_writers(writers: np.ndarray, seed: int, test_fraction: float = 0.2)
     return Split(np.flatnonzero(~is_in_test), np.empty(0, np.int64), test, WRITERS)
 
 
-def hold_out(train: np.ndarray, seed: int):
+def hold_out_samples(train: np.ndarray, seed: int):
     """Hold out some of the training samples, at least one, to select something on them.
 
     Parameters

@@ -165,7 +165,9 @@ class Prediction:
     probability: float | None
 
 
-def predict(bundle: Bundle, others: OtherRecordings, target: str = "fast", warn=remark) -> list:
+def predict_recordings(
+    bundle: Bundle, others: OtherRecordings, target: str = "fast", warn=remark
+) -> list:
     """Classify recordings, with or without labels, each with the network at rest before it.
 
     Parameters

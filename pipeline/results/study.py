@@ -24,8 +24,7 @@ from deploy.files import read_json, write_json
 from deploy.network.decision import compute_share_of_time
 from deploy.network.stimulus import find_last_steps
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import TARGETS
-from deploy.targets.registry import run_target as answer_on_target
+from deploy.targets.registry import TARGETS, run_target
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.kinds.reference import make_responses_of_logits
 from pipeline.paper import CNN_MACS
@@ -260,7 +259,7 @@ def evaluate_case(case: Case, opened: OpenedRun, dataset: Dataset | None = None)
     inputs, labels = dataset.subset(case.part)
     with hide_progress():
         spec = opened.make_spec()
-    responses = answer_on_target(spec, inputs, case.stage, case.seed)
+    responses = run_target(spec, inputs, case.stage, case.seed)
     costs = measure_costs(spec, responses)
     if responses.stopped_at is not None:
         last = responses.stopped_at - 1

@@ -107,7 +107,7 @@ class SimulationSetup:
     size: tuple = SIZE
 
 
-def simulate(
+def simulate_recordings(
     seed=0, samples_per_digit=None, jobs=2, advance=None, setup: SimulationSetup | None = None
 ) -> Recordings:
     """Simulate recordings of the paper's rig; they are marked as simulated.
@@ -163,7 +163,7 @@ def simulate(
 
 
 def make_source(seed=0, samples_per_digit=None, setup: SimulationSetup | None = None) -> Source:
-    """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
+    """The source (name and hash) of :func:`simulate_recordings` with the same arguments."""
     setup = setup or SimulationSetup()
     parameters = setup.parameters
     traces = setup.traces

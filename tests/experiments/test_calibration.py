@@ -18,7 +18,7 @@ from experiments.calibration import (
 from pipeline.recordings.files.writing import write_mat_zip
 from pipeline.simulation import parameters, shape_model
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import make_source, simulate
+from pipeline.simulation.simulate import make_source, simulate_recordings
 
 BUILT_IN = read_json(parameters.FITTED, "restore it")
 SHAPES = shape_model.read_shape_model(parameters.FITTED_SHAPES)
@@ -85,7 +85,7 @@ def test_hot_taxels_are_found_with_their_sessions():
 
 def test_recordings_that_cannot_be_fitted_to(tmp_path):
     few = tmp_path / "few.zip"
-    write_mat_zip(few, simulate(0, [2] * 10, 1))
+    write_mat_zip(few, simulate_recordings(0, [2] * 10, 1))
     with pytest.raises(UserError, match="at least 100"):
         calibration.read_target(few, 1)
     letters = tmp_path / "letters"
@@ -102,7 +102,7 @@ def test_the_command_writes_the_parameters_and_the_ways(tmp_path, monkeypatch):
     monkeypatch.setattr(calibration, "STEPS", 1)
     monkeypatch.setattr(calibration, "MIN_RECORDINGS_PER_DIGIT", 20)
     recordings, out = tmp_path / "real.zip", tmp_path / "fit.json"
-    write_mat_zip(recordings, simulate(0, [40] * 10, 1))
+    write_mat_zip(recordings, simulate_recordings(0, [40] * 10, 1))
     calibration.main(data=recordings, out=out, jobs=1)
     written = read_json(out, "write it")
     assert written["source"]["recordings"] == 320

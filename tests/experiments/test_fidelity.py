@@ -19,7 +19,7 @@ from pipeline.recordings.formats.mat import read_recording
 from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.simulation import parameters
-from pipeline.simulation.simulate import SimulationSetup, simulate
+from pipeline.simulation.simulate import SimulationSetup, simulate_recordings
 from pipeline.sources import load_recordings
 
 
@@ -86,9 +86,9 @@ def test_the_published_arrays_are_chunks_of_the_files(shared_data, tmp_path):
 
 
 def test_the_share_of_simulated_recordings_in_chunks():
-    whole = simulate(0, [4] * 10, 1)
+    whole = simulate_recordings(0, [4] * 10, 1)
     chunked = parameters.read_parameters(parameters.Population(chunked_share=0.5))
-    half = simulate(0, [4] * 10, 1, setup=SimulationSetup(chunked))
+    half = simulate_recordings(0, [4] * 10, 1, setup=SimulationSetup(chunked))
     is_chunked = [not (half[index].time_ns % CHUNK_NS).any() for index in range(len(half))]
     assert sum(is_chunked) == 20
     np.testing.assert_array_equal(
@@ -98,7 +98,7 @@ def test_the_share_of_simulated_recordings_in_chunks():
 
 
 def test_the_same_recordings_cannot_be_told_apart_and_classes_can():
-    recordings = simulate(0, [30] * 10, 1)
+    recordings = simulate_recordings(0, [30] * 10, 1)
     bits, labels = chunk_recordings(recordings), recordings.labels
     assert 0.3 < tell_apart(bits[::2], bits[1::2]) < 0.7
     assert np.mean(classify(bits[::2], labels[::2], bits[1::2]) == labels[1::2]) > 0.5

@@ -7,7 +7,7 @@ from experiments.fidelity import chunk_recordings
 from experiments.paths import cut_leaps, find_paths
 from pipeline.recordings.sensor import N_TAXELS
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import SimulationSetup, simulate
+from pipeline.simulation.simulate import SimulationSetup, simulate_recordings
 
 
 def line(start, end, points=30):
@@ -53,7 +53,7 @@ def test_the_path_of_simulated_recordings():
     seven = (line([-0.5, -0.3], [-0.5, 0.3]), line([-0.45, 0.3], [0.5, 0.0]))
     joined = (np.concatenate(seven),)
     setup = SimulationSetup(traces=(Trace(7, 0, joined),))
-    bits = chunk_recordings(simulate(0, [0] * 7 + [20, 0, 0], 1, setup=setup))
+    bits = chunk_recordings(simulate_recordings(0, [0] * 7 + [20, 0, 0], 1, setup=setup))
     ends = []
     for strokes in find_paths(bits):
         points = np.concatenate(strokes)

@@ -8,9 +8,9 @@ from models.cnn import (
     build_cnn,
     call_with_noise,
     compute_activations,
+    compute_logits,
     get_weights,
     list_noisy_layers,
-    predict,
     set_weights,
 )
 from models.keras.keras2 import tf
@@ -46,9 +46,9 @@ def test_weights_without_a_kernel_make_no_network():
 def test_weights_round_trip():
     first, second = build_cnn(PAPER), build_cnn(PAPER)
     images = np.random.default_rng(0).uniform(size=(3, 10, 10, 1))
-    assert not np.allclose(predict(first, images), predict(second, images))
+    assert not np.allclose(compute_logits(first, images), compute_logits(second, images))
     set_weights(second, get_weights(first))
-    np.testing.assert_array_equal(predict(first, images), predict(second, images))
+    np.testing.assert_array_equal(compute_logits(first, images), compute_logits(second, images))
 
 
 def test_the_network_against_numpy():
@@ -65,7 +65,9 @@ def test_the_network_against_numpy():
             hidden[row, column] = (patch * weights["conv1.kernel"][:, :, 0]).sum((0, 1))
     hidden = np.maximum(hidden + weights["conv1.bias"], 0)
     expected = hidden.ravel() @ weights["output.kernel"] + weights["output.bias"]
-    np.testing.assert_allclose(predict(model, image[None, ..., None])[0], expected, atol=1e-5)
+    np.testing.assert_allclose(
+        compute_logits(model, image[None, ..., None])[0], expected, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("change", ["missing", "shape"])
@@ -99,7 +101,7 @@ def test_strides_padding_pooling_and_dense_layers_against_numpy():
     pooled = conv[:, :2].reshape(2, 2, 1, 2, 3).mean((1, 3))  # the third column is left over
     dense = np.maximum(pooled.ravel() @ weights["dense1.kernel"] + weights["dense1.bias"], 0)
     expected = dense @ weights["output.kernel"] + weights["output.bias"]
-    np.testing.assert_allclose(predict(model, image[None])[0], expected, atol=1e-5)
+    np.testing.assert_allclose(compute_logits(model, image[None])[0], expected, atol=1e-5)
     shapes = {name: array.shape for name, array in compute_activations(model, image[None]).items()}
     assert shapes == {"conv1": (1, 36), "dense1": (1, 5)}
 
@@ -117,7 +119,7 @@ def test_noise_is_added_to_what_the_neurons_receive():
         added = {"conv1_neurons": noise[0], "dense1_neurons": noise[1]}.get(layer.name, 0)
         signal = layer(signal + added).numpy()
     np.testing.assert_allclose(call_with_noise(model, images, noise), signal, rtol=1e-6)
-    quiet = predict(model, images)
+    quiet = compute_logits(model, images)
     assert not np.allclose(signal, quiet, atol=1e-3)
     np.testing.assert_allclose(model(images, training=True), quiet, rtol=1e-6)
     none = [np.zeros_like(values) for values in noise]

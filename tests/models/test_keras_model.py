@@ -12,7 +12,7 @@ import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
-from models.cnn import build_cnn, predict, set_weights
+from models.cnn import build_cnn, compute_logits, set_weights
 from models.keras.files import ModelFileError
 from models.keras.keras2 import tf
 from models.keras.layers import convert_layers
@@ -153,7 +153,7 @@ def test_the_same_function(files, which, name):
         of_file = np.load(files[which] / f"{name}.npy")
     network = build_cnn(own.architecture)
     set_weights(network, own.weights)
-    logits = predict(network, images)
+    logits = compute_logits(network, images)
     if outputs.shape[1] == 1:
         logits = np.stack([logits[:, 0] - logits[:, 1], logits[:, 1] - logits[:, 0]], 1)
     computed = np.asarray(own.end.function(tf.constant(logits)))

@@ -11,7 +11,7 @@ from joblib import delayed
 from deploy.errors import UserError
 from pipeline import interrupts, jobs
 from pipeline.jobs import Failure, run_jobs
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import simulate_recordings
 
 
 def reciprocal(number):
@@ -165,7 +165,7 @@ def test_jobs_wait_for_a_worker(cluster):
 
 def record_some(seed):
     """Simulate ten recordings; the process, and the hashes of the recordings."""
-    return os.getpid(), simulate(seed, [1] * 10, jobs=1).hashes
+    return os.getpid(), simulate_recordings(seed, [1] * 10, jobs=1).hashes
 
 
 def die(job):

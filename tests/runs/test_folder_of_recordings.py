@@ -92,7 +92,9 @@ def test_recordings_without_labels_are_classified(folder, kind, tmp_path, capsys
     for name in CLASSES[:2]:
         (tmp_path / "known" / name).mkdir(parents=True)
         shutil.copy(folder / "own" / name / "003.npz", tmp_path / "known" / name)
-    known = Predictions(other_recordings.predict(bundle, OtherRecordings(tmp_path / "known")))
+    known = Predictions(
+        other_recordings.predict_recordings(bundle, OtherRecordings(tmp_path / "known"))
+    )
     assert set(known) == {f"{name}/003" for name in CLASSES[:2]}
     (tmp_path / "new" / "today").mkdir(parents=True)
     for name in CLASSES[:2]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.cnn import call_with_noise, list_dropped_layers, list_noisy_layers, predict
+from models.cnn import call_with_noise, compute_logits, list_dropped_layers, list_noisy_layers
 from models.keras.keras2 import as_written, tf
 from pipeline.recordings.images import ALTERED_AT_ONCE
 from pipeline.training.images.schedules import TrainingSchedule
@@ -72,7 +72,7 @@ def fit_model(
         history.append({"epoch": len(history) + 1, **row})
         if samples.validation is not None:
             images, labels = samples.validation
-            history[-1] |= _evaluate(predict(model, images), labels)
+            history[-1] |= _evaluate(compute_logits(model, images), labels)
         if advance is not None:
             advance(1, f"accuracy {row['accuracy']:.3f}")
     return history

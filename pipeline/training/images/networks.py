@@ -11,7 +11,14 @@ from deploy.errors import UserError
 from deploy.network.chip import DT
 from models.architecture import parse
 from models.chain import make_links
-from models.cnn import RateLIF, build_cnn, compute_activations, find_gain, predict, set_weights
+from models.cnn import (
+    RateLIF,
+    build_cnn,
+    compute_activations,
+    compute_logits,
+    find_gain,
+    set_weights,
+)
 from models.keras.keras2 import tf
 from pipeline.settings import Settings
 
@@ -41,7 +48,7 @@ class TrainedNetwork:
 
     def compute_logits(self, inputs) -> np.ndarray:
         """Logits, shape (n_samples, classes)."""
-        return predict(self._model, inputs)
+        return compute_logits(self._model, inputs)
 
     def compute_activations(self, inputs) -> dict:
         """Outputs of the neurons of each layer, shape (n_samples, n_neurons), by the layer."""

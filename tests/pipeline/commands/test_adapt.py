@@ -18,7 +18,7 @@ from pipeline.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.shape_model import fit_in_box
-from pipeline.simulation.simulate import SimulationSetup, simulate
+from pipeline.simulation.simulate import SimulationSetup, simulate_recordings
 from tests.command import call
 
 # From (down, right) to that of a digit that leans to the left.
@@ -34,7 +34,7 @@ def strange_hand(each, seed=5):
         shape = handwriting.draw_shape(digit, who, rng, p.shapes)
         strokes = handwriting.write_digit(digit, shape, who, p)
         traces.append(Trace(int(digit), 7, fit_in_box(stroke @ LEANING for stroke in strokes)))
-    return simulate(seed, [each] * 10, 1, setup=SimulationSetup(traces=tuple(traces)))
+    return simulate_recordings(seed, [each] * 10, 1, setup=SimulationSetup(traces=tuple(traces)))
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(run, person, tmp_path, cap
     write_mat_zip(tmp_path / "nine.zip", whole.subset(range(9)))
     write_mat_zip(tmp_path / "one.zip", whole.subset([3]))
     (tmp_path / "empty").mkdir()
-    small = simulate(0, [1] * 10, 1, setup=SimulationSetup(size=(8, 8)))
+    small = simulate_recordings(0, [1] * 10, 1, setup=SimulationSetup(size=(8, 8)))
     write_mat_zip(tmp_path / "small.zip", small)
     bundle = read_bundle(run / "bundle")
     write_bundle(tmp_path / "forgetful", replace(bundle.spec, rehearsal=None), bundle.checks)

@@ -17,7 +17,7 @@ from pipeline.recordings.events import Events
 from pipeline.recordings.sensor import Sensor
 from pipeline.recordings.spike_frames import EventTable, SpikeLimits
 from pipeline.settings import Settings
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import simulate_recordings
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def decider(bundle):
 
 @pytest.fixture(scope="module")
 def recordings():
-    return simulate(3, [2] * 10, jobs=1)
+    return simulate_recordings(3, [2] * 10, jobs=1)
 
 
 def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, recordings):

@@ -13,7 +13,7 @@ from pipeline.recordings.splits import (
     find_classes_without_test,
     find_copies,
     find_split_problem,
-    hold_out,
+    hold_out_samples,
     make_split,
     split_as_published,
     split_at_random,
@@ -161,10 +161,10 @@ def test_the_hash_of_a_recording_is_that_of_its_events(order):
 
 
 def test_hold_out():
-    train, held_out = hold_out(np.arange(50), 3)
+    train, held_out = hold_out_samples(np.arange(50), 3)
     assert len(held_out) == 5
     np.testing.assert_array_equal(np.sort([*train, *held_out]), np.arange(50))
-    assert len(hold_out(np.arange(2), 0)[1]) == 1
+    assert len(hold_out_samples(np.arange(2), 0)[1]) == 1
 
 
 def test_samples_of_the_check():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.recordings.events import TICK_NS, Events, expand_bursts, merge_bursts
 from pipeline.simulation import aces, parameters
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import simulate_recordings
 from tests.pipeline.simulation import wire as wire_of
 
 P = SimpleNamespace(**vars(parameters.read_parameters().aces), **wire_of.WIRE)
@@ -83,7 +83,7 @@ def test_no_two_bursts_share_a_tick(events):
 
 def test_the_short_way_stands_for_the_wire_on_a_simulated_recording():
     # 60 ms of a written digit, with the wire's usual noise: nothing lost, nothing added.
-    events = simulate(3, [0] * 8 + [1, 0], jobs=1)[0]
+    events = simulate_recordings(3, [0] * 8 + [1, 0], jobs=1)[0]
     start = int(events.time_ns[len(events) // 2]) // TICK_NS * TICK_NS
     inside = (events.time_ns >= start) & (events.time_ns < start + 60e6)
     part = Events(*(getattr(events, name)[inside] for name in vars(events)))

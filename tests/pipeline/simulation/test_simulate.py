@@ -16,7 +16,7 @@ from pipeline.simulation.simulate import (
     draw_form,
     list_samples,
     make_source,
-    simulate,
+    simulate_recordings,
 )
 
 FEW = [8] * 10
@@ -24,7 +24,7 @@ FEW = [8] * 10
 
 @pytest.fixture(scope="module")
 def recordings():
-    return simulate(5, FEW, jobs=1)
+    return simulate_recordings(5, FEW, jobs=1)
 
 
 def bytes_of(recordings):
@@ -37,7 +37,9 @@ def bytes_of(recordings):
 def test_same_seed_same_bytes_whatever_the_processes():
     # Two batches, so that two processes have something to share.
     counts = [0, 100] + [0] * 8
-    assert bytes_of(simulate(1, counts, jobs=1)) == bytes_of(simulate(1, counts, jobs=2))
+    assert bytes_of(simulate_recordings(1, counts, jobs=1)) == bytes_of(
+        simulate_recordings(1, counts, jobs=2)
+    )
 
 
 def test_labels_and_ids_go_by_digit(recordings):
@@ -118,7 +120,7 @@ def without_faults():
 
 def test_no_taxel_fires_twice_within_its_blind_time():
     p = parameters.read_parameters().receptor
-    recordings = simulate(5, FEW, 1, setup=SimulationSetup(without_faults()))
+    recordings = simulate_recordings(5, FEW, 1, setup=SimulationSetup(without_faults()))
     for index in range(len(recordings)):
         events = recordings[index]
         order = np.lexsort((events.time_ns, events.taxel))
@@ -141,8 +143,8 @@ def test_gaps_between_events_are_those_of_the_real_recording(recordings):
 
 def test_a_recording_does_not_depend_on_those_beside_it():
     # The same writer's first 2 and 5, in a batch of their own and among others.
-    among = simulate(1, FEW, jobs=1)
-    alone = simulate(1, [0, 0, 8, 0, 0, 8, 0, 0, 0, 0], jobs=1)
+    among = simulate_recordings(1, FEW, jobs=1)
+    alone = simulate_recordings(1, [0, 0, 8, 0, 0, 8, 0, 0, 0, 0], jobs=1)
     for name in ("2/0000", "2/0007", "5/0003"):
         one, other = (every[every.ids.index(name)] for every in (among, alone))
         for column in EVENT_DTYPES:
@@ -157,7 +159,7 @@ def bar(digit, writer):
 def test_recorded_handwriting_is_pressed_on_the_skin():
     traces = (bar(1, 4), bar(1, 9), bar(0, 4))
     setup = SimulationSetup(without_faults(), traces)
-    recordings = simulate(2, [1, 4] + [0] * 8, 1, setup=setup)
+    recordings = simulate_recordings(2, [1, 4] + [0] * 8, 1, setup=setup)
     assert sorted(recordings.writers[1:]) == [4, 4, 9, 9]  # both before either comes twice
     lying, upright = recordings[0], recordings[1]
     taxels = recordings.taxels
@@ -166,6 +168,8 @@ def test_recorded_handwriting_is_pressed_on_the_skin():
         np.arange(len(upright)), 3)]  # fmt: skip
     assert rows[0] + 1 < rows[1] < rows[2] - 1  # written downwards
     assert recordings.source.simulated
-    assert recordings.source.sha256 != simulate(2, [1, 4] + [0] * 8, jobs=1).source.sha256
+    assert (
+        recordings.source.sha256 != simulate_recordings(2, [1, 4] + [0] * 8, jobs=1).source.sha256
+    )
     with pytest.raises(UserError, match=r"\b3\b"):
-        simulate(2, [0, 0, 0, 1] + [0] * 6, setup=setup)
+        simulate_recordings(2, [0, 0, 0, 1] + [0] * 6, setup=setup)

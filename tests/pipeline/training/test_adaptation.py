@@ -4,12 +4,12 @@ import numpy as np
 
 from deploy.check.bundle import read_bundle
 from pipeline.live.network import SHIPPED
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import simulate_recordings
 from pipeline.training.adaptation import responder as responder_module
 
 
 def test_inputs_are_made_for_some_recordings_at_a_time(monkeypatch):
-    recordings = simulate(seed=0, samples_per_digit=[1] * 10, jobs=1)
+    recordings = simulate_recordings(seed=0, samples_per_digit=[1] * 10, jobs=1)
     responder = responder_module.Responder(read_bundle(SHIPPED).spec)
     at_once = responder.compute_responses(responder.make_inputs(recordings))
     copies = responder.respond_to_copies(recordings.subset([0]), 1)
