@@ -39,8 +39,8 @@ class NeuronEquations:
     ----------
     keep_u, keep_v : float
         Shares of current and voltage that remain after a step.
-    bias : float or ndarray, shape (neurons,)
-    threshold, floor : float
+    bias, threshold : float or ndarray, shape (neurons,)
+    floor : float
     input_scale : float
         Factor of the weighted sums.
     waiting_steps : int

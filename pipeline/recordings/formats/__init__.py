@@ -4,7 +4,8 @@ To add a format, write a function ``read(content, name)`` that gives an
 :class:`~pipeline.recordings.formats.recording.EventRecording` or raises
 :class:`~pipeline.recordings.formats.recording.BadRecording`, and enter it in :data:`READERS`.
 :func:`~pipeline.recordings.formats.recording.make_recording` makes one of the columns x, y, t and p
-and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.  A package of yours calls
+and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.  The ``name`` is for
+readers of several endings; nothing but the ending may be read from it.  A package of yours calls
 :func:`register_format` instead, in a plugin (:mod:`deploy.plugins`).
 """
 

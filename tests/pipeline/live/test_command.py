@@ -114,9 +114,10 @@ def test_a_killed_server_has_lost_nothing(live, tiny_run, tmp_path, capsys):
     assert "--record" in capsys.readouterr().err
 
 
-def test_a_run_without_a_network_is_one_line(tmp_path, capsys):
+def test_a_run_that_does_not_exist_is_one_line(tmp_path, capsys):
     assert call("live", tmp_path / "none", "--port", 0, "--no-browser") == 2
-    assert "stmnist convert" in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "does not exist; give the folder of a run" in line
     assert not (tmp_path / "none").exists()
 
 
