@@ -132,7 +132,7 @@ class Architecture:
         return sum(math.prod(shape) for shape in self.weight_shapes.values())
 
     @property
-    def neurons(self) -> dict:
+    def n_values(self) -> dict:
         """Number of output values of each layer, by its name."""
         return {
             name: math.prod(shape) for name, shape in zip(self.names, self.shapes[1:], strict=False)

@@ -229,7 +229,7 @@ class OpenCheck:
         name = self.target.name
         records = [self.records[stream.start] for stream in _list_streams(bundle)]
         samples = [sample for record in records for sample in record["samples"]]
-        extra = {**self._describe_notes(records), **_describe_options(self.options)}
+        extra = {**self._summarise_notes(records), **_list_options(self.options)}
         if self.target.needs_board:
             extra.update(self._compare_with_fast(samples))
         overflows = {number for record in records for number in record.get("overflows", ())}
@@ -242,7 +242,7 @@ class OpenCheck:
             self.partial.unlink()
         return result
 
-    def _describe_notes(self, records) -> dict:
+    def _summarise_notes(self, records) -> dict:
         """Fields of the result that the target makes of the notes of its streams."""
         notes = [record["notes"] for record in records if "notes" in record]
         if not notes or self.target.describe is None:
@@ -317,7 +317,7 @@ def open_check(
         "versions": list_versions(),
         # Other recordings may have been put in place of the bundle's, also with the same ids.
         "samples": bundle.checks.sha256,
-        **_describe_options(options),
+        **_list_options(options),
     }
     is_locked = f"{out}: another process is writing this result; wait for it or use another --out"
     with lock_file(partial, is_locked, "choose another --out") as file:
@@ -340,7 +340,7 @@ def open_check(
                 os.unlink(str(partial))
 
 
-def _describe_options(options) -> dict:
+def _list_options(options) -> dict:
     """The options on which the outputs depend; nothing if there are none."""
     values = {} if options is None else options.list_output_values()
     return {"options": values} if values else {}

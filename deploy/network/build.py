@@ -162,7 +162,7 @@ def build_nengo_network(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) ->
 def _add_units(network, layer: Layer, blocks: dict):
     """The neurons of a layer on the chip, or the node of a readout on the host."""
     if layer.neurons is None:
-        return nengo.Node(size_in=layer.sections * layer.size, label=layer.name)
+        return nengo.Node(size_in=layer.n_sections * layer.size, label=layer.name)
     ensemble = _build_ensemble(layer, layer.neurons)
     config = network.config[ensemble]
     config.on_chip = True

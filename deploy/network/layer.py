@@ -157,7 +157,7 @@ class Layer:
         """Refuse neurons, sections and recurrent weights where a layer cannot have them."""
         has_neurons = self.neurons is not None
         self._require(
-            self.sections == 1 or (self.operation.can_read_out and not has_neurons),
+            self.n_sections == 1 or (self.operation.can_read_out and not has_neurons),
             "only a readout on the host has sections",
         )
         self._require(
@@ -194,7 +194,7 @@ class Layer:
         self._require(len(weight_shape) >= 1, f"the operation {self.kind!r} needs a weight")
         first, *others = weight_shape
         expected = {
-            "weights": (self.sections * first, *others),
+            "weights": (self.n_sections * first, *others),
             "bias": shape[-1:],
             "recurrent": shape * 2,
         }
@@ -247,7 +247,7 @@ class Layer:
         return int(np.prod(self.shape))
 
     @property
-    def sections(self) -> int:
+    def n_sections(self) -> int:
         """Number of sections of the presentation, each of which has weights of its own."""
         return len(self.section_starts)
 
@@ -258,12 +258,12 @@ class Layer:
     @property
     def weights_by_class(self) -> np.ndarray:
         """Weights of a readout for the inputs of all sections, shape (units, sections * inputs)."""
-        weights = self.weights.reshape(self.sections, self.size, -1)
+        weights = self.weights.reshape(self.n_sections, self.size, -1)
         return weights.swapaxes(0, 1).reshape(self.size, -1)
 
     def with_weights_by_class(self, weights) -> Layer:
         """The readout with other weights, in the shape of :attr:`weights_by_class`."""
-        by_section = np.reshape(weights, (self.size, self.sections, -1)).swapaxes(0, 1)
+        by_section = np.reshape(weights, (self.size, self.n_sections, -1)).swapaxes(0, 1)
         return replace(self, weights=by_section.reshape(self.weights.shape))
 
     @property

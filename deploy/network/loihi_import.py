@@ -6,8 +6,7 @@ is needed here, and they take about ten seconds and one second at every start.
 
 NengoLoihi gives each block one scale, with which its largest weight becomes 255.  It asserts,
 mostly without a message, that threshold and bias fit with this scale; :func:`make_build_error`
-gives
-the reason.
+gives the reason.
 """
 
 import sys

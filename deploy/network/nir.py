@@ -46,9 +46,9 @@ def make_nir_graph(spec: NetworkSpec):
         know the step of a presentation.
     """
     nir = _import_nir()
-    if spec.layers[-1].sections > 1:
+    if spec.layers[-1].n_sections > 1:
         raise UserError(
-            f"NIR cannot represent a readout with {spec.layers[-1].sections} sections of the "
+            f"NIR cannot represent a readout with {spec.layers[-1].n_sections} sections of the "
             "presentation; train with --set events.parts=1 to export"
         )
     rows, columns, channels = spec.input_shape

@@ -97,7 +97,7 @@ def _count_outputs(spec, readout) -> int:
     """The number of outputs of a step that a readout should have."""
     last = spec.layers[-1]
     has_only_classes = np.shape(readout)[-1:] == (last.size,)
-    return last.size if has_only_classes else last.sections * last.size
+    return last.size if has_only_classes else last.n_sections * last.size
 
 
 def _require_array(target, name, array, shape, kinds):

@@ -28,10 +28,10 @@ def select_readout(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.
     ndarray, shape (..., steps, n_classes)
     """
     readout = spec.layers[-1]
-    if readout.sections == 1:
+    if readout.n_sections == 1:
         return output
     steps = np.arange(output.shape[-2])
-    by_section = output.reshape(*output.shape[:-1], readout.sections, readout.size)
+    by_section = output.reshape(*output.shape[:-1], readout.n_sections, readout.size)
     return by_section[..., steps, readout.find_section(first + steps), :]
 
 

@@ -78,7 +78,7 @@ class NetworkSpec:
             else:
                 on_chip = layer.placement == "chip"
                 require(on_chip, where, "only the last layer can be on the host")
-                require(layer.sections == 1, where, "only the last layer has sections")
+                require(layer.n_sections == 1, where, "only the last layer has sections")
             shape = layer.shape
 
     @property

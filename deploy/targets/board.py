@@ -233,7 +233,7 @@ def _read_power(board):
     }
 
 
-def describe_notes(notes: list) -> dict:
+def summarise_notes(notes: list) -> dict:
     """Summarise the hardware's data for a result, from the notes of its streams.
 
     Parameters

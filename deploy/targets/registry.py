@@ -165,7 +165,7 @@ TARGETS: Dict[str, Target] = {
             needs_board=True,
             in_ladder=True,
             options=BoardOptions,
-            describe=import_when_called("board", "describe_notes"),
+            describe=import_when_called("board", "summarise_notes"),
         ),
     )
 }
@@ -259,12 +259,12 @@ def list_options() -> Dict[str, tuple]:
     return options
 
 
-def select_options(target: str, **values) -> Optional[Options]:
+def select_options(target_name: str, **values) -> Optional[Options]:
     """Select a target's options from those of a command.
 
     Parameters
     ----------
-    target : str
+    target_name : str
     **values
         The value of every option of any target.
 
@@ -278,18 +278,18 @@ def select_options(target: str, **values) -> Optional[Options]:
     UserError
         There is no target of that name, or an option belongs to another target.
     """
-    described = find_target(target)
+    target = find_target(target_name)
     values_of_target = {}
     for name, (owner, option) in list_options().items():
         value = values.get(name, option.default)
-        if owner == target:
+        if owner == target.name:
             values_of_target[name] = value
         elif value != option.default:
-            raise UserError(f"{format_flag(name)} is for --target {owner}, not for {target}")
-    return None if described.options is None else described.options(**values_of_target)
+            raise UserError(f"{format_flag(name)} is for --target {owner}, not for {target.name}")
+    return None if target.options is None else target.options(**values_of_target)
 
 
-def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
+def refuse_unfit(spec: NetworkSpec, target_name: str, seed=0):
     """Refuse a network whose values do not fit the chip's integers, unless the target does so.
 
     This builds NengoLoihi's model once more, so it is called once for all samples and not for each
@@ -300,7 +300,7 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
     UserError
         There is no target of that name, or NengoLoihi cannot build the network.
     """
-    if find_target(target).refuses_unfit_itself:
+    if find_target(target_name).refuses_unfit_itself:
         return
     try:
         from ..network.build import build_nengo_network
@@ -312,7 +312,7 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
 
 
 def respond_to_streams(
-    spec: NetworkSpec, streams: list, target: str, seed=0, options: Optional[Options] = None
+    spec: NetworkSpec, streams: list, target_name: str, seed=0, options: Optional[Options] = None
 ) -> Iterator[Responses]:
     """Run a target on streams of samples, and read the responses from its output.
 
@@ -321,7 +321,7 @@ def respond_to_streams(
     spec : NetworkSpec
     streams : list of ndarray
         Each as returned by `Stimulus.flatten`.
-    target : str
+    target_name : str
     seed : int
     options : Options, optional
         Options of the target's own class; its defaults if it is None.
@@ -338,17 +338,17 @@ def respond_to_streams(
     """
     from ..network.responses import make_responses
 
-    described = find_target(target)
-    if options is None and described.options is not None:
-        options = described.options()
-    outputs = iter(described.run(spec, streams, seed, options))
+    target = find_target(target_name)
+    if options is None and target.options is not None:
+        options = target.options()
+    outputs = iter(target.run(spec, streams, seed, options))
     for number, samples in enumerate(streams):
         output = next(outputs, None)
         if output is None:
-            raise ValueError(f"target {target!r}: yields {number} outputs, not {len(streams)}")
-        yield make_responses(spec, output, len(samples), target)
+            raise ValueError(f"target {target_name!r}: yields {number} outputs, not {len(streams)}")
+        yield make_responses(spec, output, len(samples), target_name)
     if next(outputs, None) is not None:
-        raise ValueError(f"target {target!r}: yields more outputs than {len(streams)}")
+        raise ValueError(f"target {target_name!r}: yields more outputs than {len(streams)}")
 
 
 def run_target(

@@ -136,7 +136,7 @@ class SpikingGradient:
         self.neuron = neuron
         self.section_starts = section_starts
         self.names = architecture.names[:-1]
-        self.neurons = [architecture.neurons[name] for name in self.names]
+        self.neurons = [architecture.n_values[name] for name in self.names]
         hidden = zip(architecture.layers[:-1], architecture.shapes, strict=False)
         self.synapses = [layer.make_synapses(before) for layer, before in hidden]
         self.fan_out = [fan_out.ravel() for fan_out in architecture.fan_out.values()]

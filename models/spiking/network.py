@@ -175,7 +175,7 @@ class SpikingNetwork(tf.Module):
         for index, (name, layer, before) in enumerate(layers):
             parameters = self._round_to_chip(name, values, dtype)
             current = compute_weighted_sums(layer, parameters["kernel"], signal)
-            current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
+            current = tf.reshape(current, (steps, samples, self.architecture.n_values[name]))
             parameters = _repeat_bias(parameters, current.shape[2])
             spikes.append(fire(current, parameters, self.neuron.beta))
             signal = spikes[-1]

@@ -29,16 +29,16 @@ def _annotate_option(target, option):
 
 def _make_target_options() -> options.Group:
     """``--target``, and the options of all targets that are registered now."""
-    described = list_options()
+    options_of_targets = list_options()
     entries = [
         (name, option.type, field(default=option.default))
-        for name, (_, option) in described.items()
+        for name, (_, option) in options_of_targets.items()
     ]
     names = ", ".join(TARGETS)
     return options.group_options(
         make_dataclass("TargetRequested", [("target", str), *entries]),
         target=Annotated[str, typer.Option(help=f"One of {names}.")],
-        **{name: _annotate_option(*owned) for name, owned in described.items()},
+        **{name: _annotate_option(*owned) for name, owned in options_of_targets.items()},
     )
 
 

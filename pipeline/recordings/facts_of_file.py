@@ -75,12 +75,12 @@ def _read_coordinates(path, recording, options):
     unit = options.time_unit or recording.unit or infer_unit([recording.time])
     if not unit:
         raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
-    are_clock_times = recording.time[-1] * UNITS[unit] > MAX_DURATION_S
+    has_clock_times = recording.time[-1] * UNITS[unit] > MAX_DURATION_S
     rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
     facts = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
     # Only their number matters here: the coordinates of a camera may exceed what events can have.
     numbered = replace(recording, x=np.zeros_like(recording.x), y=np.zeros_like(recording.y))
-    return numbered.to_events(1, to_ns(recording.time, unit, are_clock_times)), facts
+    return numbered.to_events(1, to_ns(recording.time, unit, has_clock_times)), facts
 
 
 def _read_bins(path, recording, options):

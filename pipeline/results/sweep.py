@@ -244,7 +244,7 @@ def summarise(points, rows: dict, failed: dict) -> dict:
             stage: rows[case.name] for stage, case in point.cases.items() if case.name in rows
         }
         if SWEEP_TARGET in by_stage:
-            measured.append(_describe_point(point.changes, by_stage))
+            measured.append(_summarise_point(point.changes, by_stage))
     costs = [(-p["accuracy"], p["operations"], p["cores"], p["steps"]) for p in measured]
     for entry, on_front in zip(measured, find_pareto_front(costs) if measured else (), strict=True):
         entry["pareto"] = bool(on_front)
@@ -258,7 +258,7 @@ def summarise(points, rows: dict, failed: dict) -> dict:
     }
 
 
-def _describe_point(changes, by_stage) -> dict:
+def _summarise_point(changes, by_stage) -> dict:
     """The entry of a point in the summary, from the rows of its stages."""
     chip = by_stage[SWEEP_TARGET]
     accuracies = [row["accuracy"] for stage, row in by_stage.items() if stage != SWEEP_TARGET]

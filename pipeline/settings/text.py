@@ -32,11 +32,11 @@ def describe_settings(settings: Settings) -> list:
     ]
 
 
-def format_settings(described: list, width: int = 80) -> str:
+def format_settings(rows: list, width: int = 80) -> str:
     """The result of :func:`describe_settings` as text, with a star at each value that was set."""
     lines = []
     section = None
-    for row in described:
+    for row in rows:
         if row["section"] != section:
             section = row["section"]
             lines += ["", f"# {section}"]

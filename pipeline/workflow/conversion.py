@@ -31,7 +31,7 @@ def convert(opened: OpenedRun) -> Bundle:
     inputs = opened.make_step_inputs(origin.settings)
     seed = inputs.settings.seed
     dataset = inputs.dataset
-    spec = opened.make_spec(_describe_source(opened, inputs, origin))
+    spec = opened.make_spec(_make_provenance(opened, inputs, origin))
     spec = add_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, seed)
     bundle = write_bundle(run.bundle, spec, _choose_check_samples(inputs))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
@@ -45,7 +45,7 @@ def convert(opened: OpenedRun) -> Bundle:
     return bundle
 
 
-def _describe_source(opened, inputs, origin) -> dict:
+def _make_provenance(opened, inputs, origin) -> dict:
     """The provenance that is stored in a bundle."""
     recordings = inputs.dataset.recordings
     lost_lines = describe_reading(recordings.source.name, recordings)

@@ -27,7 +27,7 @@ def test_the_papers_networks():
 
 def test_what_the_papers_network_costs_by_hand():
     cnn = parse("10x10-6c4-24c3-10o")
-    assert cnn.neurons == {"conv1": 294, "conv2": 600, "output": 10}
+    assert cnn.n_values == {"conv1": 294, "conv2": 600, "output": 10}
     # 49 positions x 16 x 6, 25 positions x 9 x 6 x 24, 600 x 10
     assert cnn.multiply_accumulates == {"conv1": 4704, "conv2": 32400, "output": 6000}
     assert sum(cnn.multiply_accumulates.values()) == 43104

@@ -61,17 +61,17 @@ def test_the_forward_pass_is_the_integers_of_plain_numpy(text):
         np.testing.assert_allclose(outputs[:, sample], decoded, atol=1e-5)
 
 
-def test_each_part_of_a_sample_has_its_output_weights():
+def test_each_section_of_a_sample_has_its_output_weights():
     network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, section_starts=(0, 20, 33))
     weights = network.get_weights()
     for name in network.names:
         weights[f"{name}.kernel"] *= 2.5
     kernels = np.random.default_rng(0).normal(size=(3, 12, 3))
     network.set_weights({**weights, "output.kernel": kernels.reshape(36, 3)})
-    for steps in (50, 25):  # the last parts may be missing
+    for steps in (50, 25):  # the last sections may be missing
         outputs, spikes = network(tf.constant(frames_for(network, steps=steps)), dtype=tf.float64)
-        parts = np.repeat([0, 1, 2], [20, 13, 17])[:steps]
-        added = np.einsum("tsn,tnc->tsc", spikes[-1].numpy(), kernels[parts])
+        section = np.repeat([0, 1, 2], [20, 13, 17])[:steps]
+        added = np.einsum("tsn,tnc->tsc", spikes[-1].numpy(), kernels[section])
         assert spikes[-1].numpy().sum() > 20
         np.testing.assert_allclose(outputs, np.cumsum(added, 0), atol=1e-5)
 
@@ -83,8 +83,8 @@ def test_nengoloihis_emulator_makes_the_same_spikes(text):
     for sample in range(frames.shape[1]):
         expected = spiking_in_numpy.network(network.architecture, integers, frames[:, sample])
         spikes, _ = emulate(network.architecture, integers, frames[:, sample])
-        for result, its in zip(expected, spikes, strict=True):
-            np.testing.assert_array_equal(result, its)
+        for in_numpy, emulated in zip(expected, spikes, strict=True):
+            np.testing.assert_array_equal(emulated, in_numpy)
 
 
 @settings(max_examples=25, deadline=None)

@@ -23,7 +23,7 @@ def batch_for(network, samples=6, steps=40):
     frames = frames_for(network, samples, steps)
     dropout_factors = [
         ((rng.random((samples, neurons)) < 0.8) / 0.8).astype(np.float32)
-        for neurons in network.architecture.neurons.values()
+        for neurons in network.architecture.n_values.values()
     ][:-1]
     labels = rng.integers(0, network.architecture.outputs, samples)
     last_step = rng.integers(10, steps - 3, samples)

@@ -110,7 +110,7 @@ def test_no_jobs():
     assert list(run_jobs(reciprocal, [], 2)) == []
 
 
-def test_nor_is_one_that_native_code_made_another_error(monkeypatch):
+def test_an_interruption_that_native_code_converts_is_no_failure(monkeypatch):
     monkeypatch.setattr(interrupts, "_seen", [2])
     with pytest.raises(KeyboardInterrupt):
         list(run_jobs(int, ["no number", "1"], 1))

@@ -83,7 +83,7 @@ class DeployedDense(DeployedOperation):
         yield f"{layer.name}_weights", nir.Affine(weight=weights * area, bias=layer.bias.copy())
 
     def describe(self, layer):
-        return "dense" if layer.sections == 1 else f"dense in {layer.sections} sections"
+        return "dense" if layer.n_sections == 1 else f"dense in {layer.n_sections} sections"
 
 
 def reads_populations(layer, chip: Chip) -> bool:

@@ -104,16 +104,16 @@ class EmulatorArrays:
         self.layout = layout = make_layout(emulator)
         self._n = n = emulator.block_info.n_compartments
         dtype = state.dtype
-        integers = dtype == np.int32
-        self.advance = compiled.advance_integers if integers else compiled.advance_floats
-        skip = (compiled.skip_noise, n) if integers else (compiled.skip_words, 2 * n)
+        is_integer = dtype == np.int32
+        self.advance = compiled.advance_integers if is_integer else compiled.advance_floats
+        skip = (compiled.skip_noise, n) if is_integer else (compiled.skip_words, 2 * n)
         self.random = Random(vars(emulator)["rng"], *skip)
         self._copy_state(state)
         self._copy_learning(synapses, dtype)
         n_rules = len(self.first_trace)
         self.wide = layout.network[8]
-        self.draws = bool(layout.is_noisy or (integers and n_rules))
-        self._parameters_of = parameters_of_integers if integers else parameters_of_floats
+        self.draws = bool(layout.is_noisy or (is_integer and n_rules))
+        self._parameters_of = parameters_of_integers if is_integer else parameters_of_floats
         self.has_probes = bool(layout.columns)
         self._spikes_in = synapses.spikes_in  # of the step before the first
         self.last_spikes = None

@@ -87,13 +87,13 @@ def make_layout(emulator) -> Layout:
 def _make_layout(emulator):
     info = emulator.block_info
     state = emulator.compartment
-    integers = state.dtype == np.int32
+    is_integer = state.dtype == np.int32
     for item in emulator.inputs:
         if type(item) is not SpikeInput:
             raise Unsupported(f"an input of the class {type(item).__name__}")
-    noise = _make_noise(state.noise, integers)
-    segments, constants, bounds = _make_segments(info, state, integers)
-    pools = _Pools(emulator.synapses, info, integers)
+    noise = _make_noise(state.noise, is_integer)
+    segments, constants, bounds = _make_segments(info, state, is_integer)
+    pools = _Pools(emulator.synapses, info, is_integer)
     routes, entries = _make_routes(emulator, pools)
     blocks = np.array(
         [
@@ -102,7 +102,7 @@ def _make_layout(emulator):
         ],
         np.int64,
     )
-    learning = _make_learning(emulator.synapses, pools, integers)
+    learning = _make_learning(emulator.synapses, pools, is_integer)
     recorded, widths, columns = _plan_probes(emulator.probes)
     first_run, runs, narrow, wide = pools.to_arrays(state.dtype)
     return Layout(
@@ -123,11 +123,11 @@ def _make_layout(emulator):
     )  # fmt: skip
 
 
-def _make_segments(info, state, integers):
+def _make_segments(info, state, is_integer):
     """Segments, their constants, and the first and last segment of each block."""
-    keep_u = (4095 if integers else 1) - state.decay_u
-    keep_v = (4096 if integers else 1) - state.decay_v
-    if integers:
+    keep_u = (4095 if is_integer else 1) - state.decay_u
+    keep_v = (4096 if is_integer else 1) - state.decay_v
+    if is_integer:
         for keep in (keep_u, keep_v):
             if np.any((keep < 0) | (keep > 4096)):
                 raise Unsupported("decays outside of 12 bits")
@@ -147,11 +147,11 @@ def _make_segments(info, state, integers):
     return segments.astype(np.int64), np.ascontiguousarray(table[edges[:-1], :-1]), bounds
 
 
-def _make_noise(noise, integers):
-    scale_type = np.float64 if integers else np.float32
+def _make_noise(noise, is_integer):
+    scale_type = np.float64 if is_integer else np.float32
     if noise.mult.dtype != scale_type:
         raise Unsupported(f"noise of type {noise.mult.dtype}")
-    if integers:
+    if is_integer:
         largest = 127.0 + np.abs(noise.mant_offset.astype(float))
         largest *= np.maximum(noise.mult, 1)  # the sum must fit as well
         if np.any(~(largest < 2.0**31)):
@@ -172,7 +172,7 @@ class _Pools:
         True if a synapse is in the narrow pool, and the largest magnitude there.
     """
 
-    def __init__(self, synapses, info, integers):
+    def __init__(self, synapses, info, is_integer):
         self.first_row = {}
         self.atoms = {}
         self.reach = {}
@@ -188,7 +188,7 @@ class _Pools:
         n_rows = 0
         for block in info.blocks:
             items = [_Rows(synapse, block, synapses.dtype) for synapse in block.synapses]
-            fixed = [rows for rows in items if integers and not rows.synapse.learning]
+            fixed = [rows for rows in items if is_integer and not rows.synapse.learning]
             shift = _count_trailing_zeros(np.bitwise_or.reduce([0, *(rows.bits for rows in fixed)]))
             self.shifts.append(shift)
             self.is_wide.append(False)
@@ -422,7 +422,7 @@ def _find_rows(synapse, index, atom, pools):
     return np.where(used, row * n_atoms + atom, -1), np.where(used, base, 0)
 
 
-def _make_learning(synapses, pools, integers):
+def _make_learning(synapses, pools, is_integer):
     """``rules`` and ``rates``."""
     rules = []
     rates = []
@@ -431,16 +431,16 @@ def _make_learning(synapses, pools, integers):
         n = s.n_axons
         n_errors = len(synapses.pes_errors[s])
         product_shift = old_shift = new_shift = fraction_bits = limit = 0
-        rate = s._lr_int if integers else 0
+        rate = s._lr_int if is_integer else 0
         parameters = [s.train_epoch, s.learn_epoch]
-        if integers:
+        if is_integer:
             parameters += [rate, s._lr_exp, s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits]
         # NengoLoihi uses 64 bits for NumPy's integers.
         if any(type(value) is not int for value in parameters):
             raise Unsupported("a learning rule whose parameters are not Python's integers")
         if not (min(s.train_epoch, s.learn_epoch) > 0 and s.tracing_tau > 0):
             raise Unsupported("a learning rule with a period that is not positive")
-        if integers:
+        if is_integer:
             exponent = s.synapse_cfg.real_weight_exp
             spare = s.synapse_cfg.shift_bits
             product_shift = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)

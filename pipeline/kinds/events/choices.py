@@ -188,7 +188,7 @@ class EventChoices:
         reason = ""
         if is_open or not sections:  # what the user has set needs no estimate, which takes seconds
             chosen_input = self._estimate_input(presented)
-            sections = sections or chosen_input.sections
+            sections = sections or chosen_input.n_sections
             reason = chosen_input.describe(step_ms, sections)
         if is_open:
             self._choose("input.refractory", chosen_input.refractory_steps * step_ms, reason)

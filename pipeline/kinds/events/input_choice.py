@@ -53,7 +53,7 @@ class InputChoice(NamedTuple):
     ----------
     refractory_steps : int
         Refractory period of a taxel and polarity, in steps.
-    sections : int
+    n_sections : int
         Number of sections of a recording with readout weights of their own.
     lost : float
         Share of the events that are merged in a step or ignored in the refractory period.
@@ -63,7 +63,7 @@ class InputChoice(NamedTuple):
     """
 
     refractory_steps: int
-    sections: int
+    n_sections: int
     lost: float
     accuracy: float
     complete: float
@@ -136,13 +136,13 @@ def choose_input(table: EventTable, labels, train, step_ms: float, n_steps: int)
     longest = max(
         each for each in mean if mean[each] >= max(mean.values()) - MAX_EQUAL_ACCURACY_GAP
     )
-    sections = _choose_sections(accuracy[longest], len(compared))
+    n_sections = _choose_n_sections(accuracy[longest], len(compared))
     return InputChoice(
         refractory_steps=longest,
-        sections=sections,
+        n_sections=n_sections,
         lost=lost[longest],
-        accuracy=accuracy[longest][sections],
-        complete=accuracy[0][sections],
+        accuracy=accuracy[longest][n_sections],
+        complete=accuracy[0][n_sections],
     )
 
 
@@ -153,7 +153,7 @@ def _merge_sections(spikes, sections):
     return merged.reshape(samples, -1)
 
 
-def _choose_sections(accuracy: dict, n_samples: int) -> int:
+def _choose_n_sections(accuracy: dict, n_samples: int) -> int:
     """The number of sections; a larger one must gain more than a standard error."""
     chosen, *others = SECTION_COUNTS
     for sections in others:

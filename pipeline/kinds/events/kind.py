@@ -186,8 +186,9 @@ def make_event_spec(
 ) -> NetworkSpec:
     """Describe the spiking network trained on events.
 
-    The confidence estimator is trained on training samples.  It is left out if no early decisions
-    were found on others: after few samples it takes every prediction for right.
+    The confidence estimator is trained on training samples.  It is left out if no threshold for
+    early decisions could be chosen on held-out samples: trained on few samples, it is confident of
+    every prediction.
 
     NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
     design, independently of the recording time that it represents.

@@ -56,11 +56,11 @@ class SliceDefaults:
 
 # For a grid of taxels, with a convolution before the hidden layer. Its stride of 2 makes it three
 # times as cheap as convolutions like those of the CNN, and more accurate.
-GRID = SliceDefaults(slices=8, hidden=128, dropout=0.1, input_rate=60.0)
+GRID_DEFAULTS = SliceDefaults(slices=8, hidden=128, dropout=0.1, input_rate=60.0)
 
 # For a sensor that is too small for convolutions: as accurate with 60 input spikes per second as
 # with 500, for an eighth of the operations.
-STRIP = SliceDefaults(slices=8, hidden=256, dropout=0.5, input_rate=60.0)
+STRIP_DEFAULTS = SliceDefaults(slices=8, hidden=256, dropout=0.5, input_rate=60.0)
 
 
 def choose_image_augmentation(recordings: Recordings) -> str:
@@ -93,7 +93,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     sensor = recordings.sensor
     cnn = settings.cnn
     is_strip = not sensor.is_grid
-    defaults = STRIP if is_strip else GRID
+    defaults = STRIP_DEFAULTS if is_strip else GRID_DEFAULTS
     is_own = bool(cnn.model) or not settings.is_open("cnn.architecture")
     own_channels = parse(cnn.architecture).input_shape[2] if is_own else None
     is_sliced = settings.input.kind == "slices" or (

@@ -53,7 +53,7 @@ def read_csv(content: bytes, name: str = "") -> EventRecording:
         raise BadRecording(f"line {body[error.event].number} {error}", error.event) from error
 
 
-class _Line(NamedTuple):
+class _NumberedLine(NamedTuple):
     """A line of a file.
 
     Attributes
@@ -73,7 +73,7 @@ def _read_columns(content):
     Returns
     -------
     columns : dict of str to ndarray, or ndarray of shape (n_events, n_columns)
-    body : list of _Line
+    body : list of _NumberedLine
     """
     lines = _read_lines(content)
     body = [line for line in lines if line.text[0] not in REMARKS]
@@ -104,7 +104,7 @@ def _read_lines(content):
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
     return [
-        _Line(number, line.strip())
+        _NumberedLine(number, line.strip())
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip().strip(REMARKS).strip()
     ]
@@ -124,7 +124,7 @@ def _write_numbers(body, separator):
     text = text.replace("\u2212", "-").replace('"', "")
     text = _POLARITY.sub(lambda match: POLARITIES[match[0].lower()], text)
     lines = zip(body, text.split("\n"), strict=True)
-    return [_Line(line.number, changed) for line, changed in lines]
+    return [_NumberedLine(line.number, changed) for line, changed in lines]
 
 
 def _split_names(line, separator):

@@ -155,8 +155,8 @@ def _list_settings(inputs):
 
 def find_title(stage: str) -> str:
     """The title of a network or target."""
-    described = list_references().get(stage) or TARGETS[stage]
-    return described.title
+    row = list_references().get(stage) or TARGETS[stage]
+    return row.title
 
 
 def make_verdict(results: list, bundle: Bundle) -> dict:
@@ -412,9 +412,9 @@ def _group_samples(inputs):
             "picture": charts.draw_thumbnail(images[index], sample, positions),
         }
 
-    described = []
+    rows = []
     for label, prediction in sorted(groups, key=rank):
-        described.append(
+        rows.append(
             {
                 "key": f"{label}-{prediction}",
                 "right": label == prediction,
@@ -423,7 +423,7 @@ def _group_samples(inputs):
                 "samples": [describe(index) for index in groups[label, prediction]],
             }
         )
-    return described
+    return rows
 
 
 def _find_frequent_mistake(groups, inputs):

@@ -30,8 +30,8 @@ def format_interval(bounds) -> str:
 
 def find_stage_note(stage: str) -> str:
     """What a stage of the ladder is, in a few words."""
-    described = list_references().get(stage) or TARGETS[stage]
-    return described.note or described.title
+    row = list_references().get(stage) or TARGETS[stage]
+    return row.note or row.title
 
 
 def describe_verdict(verdict: dict, result: dict, plan: dict, simulated: bool) -> Markup:

@@ -104,7 +104,7 @@ class Responder:
         for output in self.run_to_readout(samples):
             output = output[:, start:]
             section = readout.find_section(start + np.arange(output.shape[1]))
-            sums = [output[:, section == k].sum(axis=1) for k in range(readout.sections)]
+            sums = [output[:, section == k].sum(axis=1) for k in range(readout.n_sections)]
             batches.append(np.concatenate(sums, axis=1) / output.shape[1])
         return np.concatenate(batches)
 

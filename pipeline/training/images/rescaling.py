@@ -31,7 +31,7 @@ def select_measured(images, architecture: Architecture) -> np.ndarray:
     architecture : Architecture
         Architecture of the network, which has an activation for each of its neurons and each image.
     """
-    neurons = max(sum(architecture.neurons.values()), 1)
+    neurons = max(sum(architecture.n_values.values()), 1)
     return select_evenly(
         images, min(MAX_MEASURED_SAMPLES, max(MAX_MEASURED_ACTIVATIONS // neurons, 1))
     )

@@ -123,5 +123,5 @@ def test_a_large_networks_activations_are_measured_on_fewer_samples(monkeypatch)
     images = np.zeros((2000, 10, 10, 1))
     assert len(select_measured(images, parse("10x10-6c4-24c3-10o"))) == 2000
     wide = parse("10x10-64c3p-128c3p-10o")
-    monkeypatch.setattr(rescaling, "MAX_MEASURED_ACTIVATIONS", 100 * sum(wide.neurons.values()))
+    monkeypatch.setattr(rescaling, "MAX_MEASURED_ACTIVATIONS", 100 * sum(wide.n_values.values()))
     assert len(select_measured(images, wide)) == 100

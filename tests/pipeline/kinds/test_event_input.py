@@ -29,11 +29,11 @@ def test_what_only_time_tells_is_read_in_parts():
     table, labels = table_of(events)
     train = np.arange(len(labels))
     reading = input_choice.choose_input(table, labels, train, 10.0, 100)
-    assert reading.sections > 1
+    assert reading.n_sections > 1
     assert reading.accuracy > 0.7
     again = input_choice.choose_input(table, labels, train, 10.0, 100)
     assert again == reading
-    assert input_choice.choose_input(table, labels, train[:1], 10.0, 100).sections == 1
+    assert input_choice.choose_input(table, labels, train[:1], 10.0, 100).n_sections == 1
 
 
 def test_what_place_tells_needs_no_parts_and_the_longest_period():
@@ -41,9 +41,9 @@ def test_what_place_tells_needs_no_parts_and_the_longest_period():
         return rng.uniform(0, 990, 15), np.full(15, int(label))
 
     reading = input_choice.choose_input(*table_of(events), np.arange(120), 10.0, 100)
-    assert (reading.sections, reading.refractory_steps) == (1, max(input_choice.REFRACTORY_STEPS))
+    assert (reading.n_sections, reading.refractory_steps) == (1, max(input_choice.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
-    assert "sections" not in reading.describe(10.0, reading.sections)
+    assert "sections" not in reading.describe(10.0, reading.n_sections)
 
 
 def test_a_period_that_loses_most_events_is_not_chosen():
