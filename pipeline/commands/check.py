@@ -103,8 +103,9 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from pipeline.results.check_with_faults import find_fault_path, parse_faults
     from pipeline.workflow.target_check import TargetCheck
 
-    target = target_requested.target
-    target_options = select_options(**vars(target_requested))
+    values = dict(vars(target_requested))
+    target = values.pop("target")
+    target_options = select_options(target, **values)
     if out is not None:
         require_ending(out, ".json")
     _require_data(others)
