@@ -10,9 +10,12 @@ import pytest
 
 import stmnist
 from deploy.files import read_json
+from deploy.targets.registry import TARGETS as DEPLOY_TARGETS
 from experiments import licences, pictures
 from experiments.document import FILES, with_parts
+from models.ops import OPERATIONS, Pooling
 from pipeline.commands.main import with_every_verb
+from pipeline.recordings.formats import READERS
 from pipeline.settings import Settings
 from tests.command import ROOT, missing
 
@@ -136,6 +139,28 @@ def test_every_public_name_is_in_the_reference():
 def test_every_setting_is_in_the_docs():
     named = set(inline(read(ROOT / "docs" / "settings.md")))
     assert set(Settings().flatten()) <= named
+
+
+def list_first_cells(page):
+    """The code in the first cells of the rows of all tables of a page."""
+    rows = re.findall(r"^\|(.*?)\|", read(ROOT / "docs" / page), re.MULTILINE)
+    return [code for row in rows for code in inline(row)]
+
+
+def test_every_format_has_a_row():
+    assert set(READERS) <= set(list_first_cells("recordings.md"))
+
+
+def test_every_target_has_a_row_and_is_in_the_glossary():
+    assert set(DEPLOY_TARGETS) <= set(list_first_cells("bundle.md"))
+    (row,) = re.findall(r"^\| target \|(.*)\|", read(ROOT / "docs" / "glossary.md"), re.MULTILINE)
+    assert inline(row) == list(DEPLOY_TARGETS)
+
+
+@pytest.mark.parametrize("layer", [*OPERATIONS.values(), Pooling], ids=lambda layer: layer.kind)
+def test_every_notation_has_a_row(layer):
+    codes = list_first_cells("training.md")
+    assert any(layer.token.fullmatch(code) for code in codes), layer.examples
 
 
 def test_a_part_without_an_end_is_refused():

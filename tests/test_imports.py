@@ -128,7 +128,7 @@ def test_a_module_imports_no_later_layer(package):
                 assert layer_of[below] <= layer_of[module], f"{path} imports {package}.{below}"
 
 
-def test_the_command_line_of_a_copied_bundle_is_nobody_elses():
+def test_only_deploy_imports_its_command_line():
     for package in ("pipeline", "models"):
         for path in sources(package):
             assert ("deploy", "cli") not in list_imported_modules(path), path

@@ -2,7 +2,9 @@
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -67,32 +69,41 @@ def make_camera_file(ending, folder, version=None) -> bytes:
     return path.read_bytes()
 
 
-# For each ending in READERS, a function of a folder that makes a file with the events.
-FILES = {
-    ".aedat4": lambda folder: make_camera_file(".aedat4", folder),
-    ".bin": lambda folder: make_bin(),
-    ".csv": lambda folder: LINES,
-    ".dat": lambda folder: make_camera_file(".dat", folder, "dat2"),
-    ".h5": lambda folder: make_hdf5(),
-    ".hdf5": lambda folder: make_hdf5(),
-    ".mat": lambda folder: mat5(spiketrain=SPIKETRAIN),
-    ".npy": lambda folder: make_npy(),
-    ".npz": lambda folder: npz(**ARRAYS, rows=ROWS, columns=COLUMNS),
-    ".raw": lambda folder: make_camera_file(".raw", folder, "evt3"),
-    ".txt": lambda folder: LINES,
-}
+class FileOfFormat(NamedTuple):
+    """A file with the events: a function of a folder makes its content.
 
-# Endings of files that have the size of the sensor.
-WITH_SIZE = (".aedat4", ".dat", ".npz", ".raw")
+    `size` is the size of the sensor if a file of this format has it.
+    """
+
+    make: Callable
+    events: dict = EVENTS
+    size: tuple | None = None
+
+
+SIZE = (ROWS, COLUMNS)
+
+# A file for each ending in READERS.
+FILES = {
+    ".aedat4": FileOfFormat(lambda folder: make_camera_file(".aedat4", folder), size=SIZE),
+    ".bin": FileOfFormat(lambda folder: make_bin()),
+    ".csv": FileOfFormat(lambda folder: LINES),
+    ".dat": FileOfFormat(lambda folder: make_camera_file(".dat", folder, "dat2"), size=SIZE),
+    ".h5": FileOfFormat(lambda folder: make_hdf5()),
+    ".hdf5": FileOfFormat(lambda folder: make_hdf5()),
+    ".mat": FileOfFormat(lambda folder: mat5(spiketrain=SPIKETRAIN), NUMBERED),
+    ".npy": FileOfFormat(lambda folder: make_npy()),
+    ".npz": FileOfFormat(lambda folder: npz(**ARRAYS, rows=ROWS, columns=COLUMNS), size=SIZE),
+    ".raw": FileOfFormat(lambda folder: make_camera_file(".raw", folder, "evt3"), size=SIZE),
+    ".txt": FileOfFormat(lambda folder: LINES),
+}
 
 
 @pytest.mark.parametrize("ending", sorted(READERS))
 def test_every_format_conforms(tmp_path, ending):
     assert ending in FILES, f"add a file with the ending {ending} to FILES"
-    content = FILES[ending](tmp_path)
-    events = NUMBERED if ending == ".mat" else EVENTS
-    size = (ROWS, COLUMNS) if ending in WITH_SIZE else None
-    assert_format_conforms(ending, content, events, tmp_path / "source", size=size)
+    file = FILES[ending]
+    content = file.make(tmp_path)
+    assert_format_conforms(ending, content, file.events, tmp_path / "source", size=file.size)
 
 
 CONTENT = json.dumps([EVENTS[name] for name in "xytp"]).encode()
