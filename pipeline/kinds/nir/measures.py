@@ -80,15 +80,7 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
     layers = from_nir(network, stepping.step_s, stepping.method, find_input_shape(dataset))
     for line in list_conversion_notes(network, layers, stepping, settings):
         say(f"nir: {line}")
-    cost = None
-    if stepping.reset != "value":
-        cost = measure_reset_cost(network, stepping, settings, dataset)
-        say(RESET_TEXT.format(**cost))
-    usual_reset = network.convention.usual_reset
-    if usual_reset and settings.nir.reset == "auto":
-        with_usual_reset = replace(stepping, reset=usual_reset)
-        cost = measure_reset_cost(network, with_usual_reset, settings, dataset)
-        say(USUAL_RESET_TEXT.format(reset=usual_reset, **cost))
+    cost = _measure_reset(network, stepping, settings, dataset, say)
     part = "test" if len(dataset.split.test) else "validation"
     index = dataset.split.get_indices(part)
     with progress("simulate nir", len(index)) as advance:
@@ -127,6 +119,29 @@ def _replace_network(folder, source):
     for record in ("metrics.json", "training.json", "history.csv"):
         (folder / record).unlink(missing_ok=True)
     copy_file(source, folder / GRAPH)
+
+
+def _measure_reset(network, stepping, settings, dataset, say):
+    """Measure and say the effect of the chip's reset on a graph of another reset.
+
+    If a graph does not record its reset, and the user sets none, the reset is that which its
+    framework has by default.
+
+    Returns
+    -------
+    dict or None
+        As :func:`measure_reset_cost`; None if there is no other reset.
+    """
+    cost = None
+    if stepping.reset != "value":
+        cost = measure_reset_cost(network, stepping, settings, dataset)
+        say(RESET_TEXT.format(**cost))
+    usual_reset = network.convention.usual_reset
+    if usual_reset and settings.nir.reset == "auto":
+        with_usual_reset = replace(stepping, reset=usual_reset)
+        cost = measure_reset_cost(network, with_usual_reset, settings, dataset)
+        say(USUAL_RESET_TEXT.format(reset=usual_reset, **cost))
+    return cost
 
 
 def measure_reset_cost(network: NirNetwork, stepping: Stepping, settings, dataset) -> dict:
