@@ -287,7 +287,10 @@ def read_bundle(path) -> Bundle:
             remedy = format_command("convert", path.parent)
             raise UserError(f"{path.parent}: has no bundle yet; make it with {remedy}")
         if not path.exists():
-            raise UserError(f"{path}: does not exist; give the folder of a run or of a bundle")
+            raise UserError(
+                f"{path}: does not exist; give the folder of a run or of a bundle, as 'stmnist "
+                "convert' makes"
+            )
         raise UserError(f"{path}: not a bundle; give the folder of one, as 'stmnist convert' makes")
     manifest = read_json(path / "MANIFEST.json", _REMEDY)
     _require_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)

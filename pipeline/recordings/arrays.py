@@ -7,7 +7,9 @@ import re
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+
+import numpy as np
 
 from deploy.errors import SeveralErrors, UserError
 from deploy.tables import format_count
@@ -85,6 +87,9 @@ def make_recordings(events, labels=None, rows=0, columns=0, **more) -> Recording
             write_recordings(path, zip(events, labels, strict=True), **more)
             size = ReadingOptions(rows, columns)
             recordings = import_recordings(path, warn=warn, reading=size)
+    # The names of the files are the numbers of the recordings; a source is sorted by class.
+    in_given_order = np.argsort([int(PurePosixPath(name).name) for name in recordings.ids])
+    recordings = recordings.subset(in_given_order)
     return replace(recordings, source=replace(recordings.source, name=NAME))
 
 

@@ -129,7 +129,7 @@ class Recordings:
 
     @classmethod
     def from_arrays(cls, events, labels=None, rows=0, columns=0, **more) -> Recordings:
-        """Make recordings of events in memory.
+        """Make recordings of events in memory, in the order in which they are given.
 
         Parameters
         ----------

@@ -182,11 +182,11 @@ def make_source(seed=0, samples_per_digit=None, setup: SimulationSetup | None = 
     if not traces and parameters.people != DEFAULT_POPULATION.people:
         name += f", {parameters.people} people"
     if not traces and parameters.writers.backwards[0] != DEFAULT_POPULATION.reversed_share:
-        name += f", {parameters.writers.backwards[0]:.0%} reversed"
+        name += f", {100 * parameters.writers.backwards[0]:g} % reversed"
     if not traces and parameters.writers.tablet != DEFAULT_POPULATION.tablet_share:
         name += f", {100 * parameters.writers.tablet:g} % as on a tablet"
     if parameters.mixed_forms:
-        name += f", {parameters.mixed_forms:.0%} with the form of any digit"
+        name += f", {100 * parameters.mixed_forms:g} % placed and pressed like any digit"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)
 

@@ -187,6 +187,8 @@ def _list_classes(path, recordings, classes) -> list[str] | None:
         classes = getattr(recordings, "classes", None)
     if classes is None:
         return None
+    if isinstance(classes, str):
+        raise UserError(f"classes: {classes!r} is one name; give a list of names")
     if isinstance(classes, Set):
         raise ValueError("classes: a set has no order; give a list of names")
     names = list(map(str, classes))

@@ -50,12 +50,28 @@ def test_recordings_from_arrays_are_those_of_their_file(tmp_path):
     events, labels = arrays(6)
     recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
     assert recordings.sensor.classes == ("left", "right")
-    assert sorted(recordings.labels) == [0, 0, 0, 1, 1, 1]
+    assert recordings.labels.tolist() == labels
     again = Recordings.read(recordings.write(tmp_path / "mine.zip"))
-    assert again.hashes == recordings.hashes
+    assert dict(zip(again.ids, again.hashes, strict=True)) == dict(
+        zip(recordings.ids, recordings.hashes, strict=True)
+    )
     assert is_one_line(recordings)
     assert "<table>" in recordings._repr_html_()
     assert recordings.source.name == "arrays"
+
+
+def test_recordings_from_arrays_keep_their_order(run):
+    events, labels = arrays(7, seed=5)
+    labels = [CLASSES[label] for label in labels[::-1]]
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    assert list(recordings.ids) == [f"{name}/{i:06}" for i, name in enumerate(labels)]
+    for index, given in enumerate(events):
+        read = recordings[index]
+        assert len(read) == len(given["t"])
+        np.testing.assert_array_equal(recordings.taxels.column[read.taxel], given["x"])
+    assert run.predict(recordings).ids == list(recordings.ids)
+    with pytest.raises(UserError, match="give a list"):
+        Recordings.from_arrays(events, labels, classes="left")
 
 
 def test_arrays_that_are_no_events_are_refused_in_one_line():
@@ -72,12 +88,14 @@ def test_the_order_of_the_classes_is_kept_in_files(tmp_path):
     names = ["right", "left"]
     recordings = Recordings.from_arrays(events, labels, classes=names, time_unit="s")
     assert recordings.sensor.classes == ("right", "left")
-    assert sorted(recordings.labels) == sorted(labels)
+    assert recordings.labels.tolist() == labels
     first = next(i for i, name in enumerate(recordings.ids) if name.startswith("right"))
     assert recordings.labels[first] == 0
     read = Recordings.read(recordings.write(tmp_path / "six.zip"))
     assert read.sensor.classes == ("right", "left")
-    assert read.labels.tolist() == recordings.labels.tolist()
+    assert dict(zip(read.ids, read.labels, strict=True)) == dict(
+        zip(recordings.ids, recordings.labels, strict=True)
+    )
 
 
 def test_the_size_of_the_sensor_is_kept_in_files(tmp_path):
