@@ -243,6 +243,8 @@ class Run:
         stages : sequence of str, optional
             Stages; default: all up to the emulator.
         """
+        if isinstance(stages, str):
+            stages = [stages]
         with self._open() as opened:
             return Ladder(measure_ladder(opened, self._jobs, stages))
 
@@ -379,8 +381,10 @@ class Run:
 
     def _check_on_others(self, target, data, samples):
         """The check on other recordings, as ``stmnist check run --data``."""
-        if samples is not None and samples < 0:
-            raise UserError(f"{ORIGIN}: {samples} samples; give a number from 0, which means all")
+        if samples is not None and (not isinstance(samples, Integral) or samples < 0):
+            raise UserError(
+                f"{ORIGIN}: {samples} samples; give a whole number from 0, which means all"
+            )
         bundle = self.bundle
         check = TargetCheck(target, bundle.seed)
         with self._collect_notes(), self._put_on_disk(data) as path:

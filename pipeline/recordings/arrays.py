@@ -16,6 +16,7 @@ from deploy.tables import format_count
 from deploy.terminal import remark
 from pipeline.recordings.cached_recordings import import_recordings
 from pipeline.recordings.files.writing import write_recordings
+from pipeline.recordings.formats.recording import UNIT_NAMES
 from pipeline.recordings.interpretation.options import ReadingOptions
 from pipeline.recordings.recordings import Recordings
 
@@ -87,6 +88,9 @@ def make_recordings(events, labels=None, rows=0, columns=0, **more) -> Recording
             write_recordings(path, zip(events, labels, strict=True), **more)
             size = ReadingOptions(rows, columns)
             recordings = import_recordings(path, warn=warn, reading=size)
+    unit = recordings.source.time_unit
+    if unit and not more.get("time_unit"):
+        remark(f"{NAME}: times are read as {UNIT_NAMES[unit]}; give another unit as time_unit")
     # The names of the files are the numbers of the recordings; a source is sorted by class.
     in_given_order = np.argsort([int(PurePosixPath(name).name) for name in recordings.ids])
     recordings = recordings.subset(in_given_order)

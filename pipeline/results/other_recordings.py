@@ -16,6 +16,7 @@ from deploy.targets.registry import run_target
 from deploy.terminal import WARNING, remark
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.progress import progress
+from pipeline.recordings.arrays import UNLABELLED
 from pipeline.recordings.dataset import (
     describe_cut_recordings,
     make_inputs_for,
@@ -135,6 +136,8 @@ def read_recordings_for(
     require_sensor_fits(bundle.spec, replace(recordings, sensor=actual))
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
     unknown = [name for name in present if name not in classes]
+    if labelled and sensor.classes == (UNLABELLED,):
+        raise UserError(f"{source}: the recordings have no labels; classify them with predict")
     if unknown and labelled:
         raise UserError(
             f"{source}: has classes that the network of {bundle.path} does not have: "

@@ -60,6 +60,22 @@ def test_recordings_from_arrays_are_those_of_their_file(tmp_path):
     assert recordings.source.name == "arrays"
 
 
+def test_a_guessed_unit_is_said(capsys):
+    events, labels = arrays(4)
+    Recordings.from_arrays(events, labels, time_unit="s")
+    assert "seconds" not in capsys.readouterr().err
+    assert Recordings.from_arrays(events, labels).source.time_unit == "s"
+    assert "read as seconds" in capsys.readouterr().err
+
+
+def test_recordings_without_labels_cannot_be_checked(run):
+    unlabelled = Recordings.from_arrays(arrays(3)[0], time_unit="s")
+    with pytest.raises(UserError, match="no labels"):
+        run.check("fast", data=unlabelled)
+    with pytest.raises(UserError, match=r"1\.5 samples"):
+        run.check("fast", data=unlabelled, samples=1.5)
+
+
 def test_recordings_from_arrays_keep_their_order(run):
     events, labels = arrays(7, seed=5)
     labels = [CLASSES[label] for label in labels[::-1]]
