@@ -75,10 +75,11 @@ function describeVerdict(message, page) {
   const { label, early, seconds } = message.verdict;
   const guess = isGuess(message.confidence, page);
   const retracted = early && message.decision !== label; // by the answer at the end
-  const open = retracted || message.exceeds_training || message.confidence < SURE;
+  const doubted = guess || retracted || message.exceeds_training || isUnsure(message, page);
+  const open = doubted || message.confidence < SURE;
   return {
     text: guess ? "?" : page.classes[label],
-    confidence: guess || retracted || message.exceeds_training ? NOT_SURE : percent(message.confidence),
+    confidence: doubted ? NOT_SURE : percent(message.confidence),
     statement: verdictText(message, guess, retracted, page) + truthText(label, guess, page) + retractionText(message, retracted, page),
     open,
     mark: markOf(label, open, page),
@@ -87,10 +88,16 @@ function describeVerdict(message, page) {
   };
 }
 
-function verdictText({ exceeds_training, verdict }, guess, retracted, { threshold }) {
+// More probably wrong than right; a softmax is no probability.
+const isUnsure = ({ confidence }, { threshold }) => threshold !== null && confidence < SURE;
+
+function verdictText(message, guess, retracted, page) {
+  const { exceeds_training, verdict, confidence } = message;
+  const { threshold } = page;
   if (exceeds_training) return SLOW;
   const time = verdict.early ? `decided after ${verdict.seconds.toFixed(2)} s` : "at the end";
   if (guess || retracted) return time;
+  if (isUnsure(message, page)) return `${time} (${percent(confidence)})`;
   if (threshold === null) return `${SOFTMAX} ${time}`;
   return verdict.early ? `sure at the end, ${time}` : `sure ${time}`;
 }

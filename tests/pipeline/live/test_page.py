@@ -472,6 +472,7 @@ DESCRIBE = """async ([message, settled]) => {
         (False, {}, "6", "99.0 %", True),  # a longer digit may follow
         (True, {}, "6", "99.0 %", False),
         (True, {"confidence": 0.7}, "6", "70 %", False),  # that of all events
+        (True, {"confidence": 0.26}, "6", "Not sure", True),
         (True, {"decision": 0}, "6", "Not sure", True),
         (False, {"decision": 0}, "0", "99.0 %", True),
         (True, {"exceeds_training": True}, "6", "Not sure", True),
