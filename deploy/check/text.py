@@ -22,7 +22,8 @@ def format_result(result: dict) -> str:
     )
     operations = sum(result["synaptic_operations"].values()) / result["n_samples"]
     macs = sum(result["multiply_accumulates"].values())
-    return (
+    absent = describe_absent_classes(result.get("classes_without_samples"))
+    text = (
         f"{escape_control(result['target'])}: "
         f"accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
         f"{high:.3f}) on {result['n_samples']} {_mark_simulated(result)}samples of "
@@ -30,17 +31,18 @@ def format_result(result: dict) -> str:
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
         f"{macs} multiply-accumulates of a CNN of this architecture\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
-        "samples a second" + _describe_hardware(result) + _describe_absent_classes(result)
+        "samples a second" + _describe_hardware(result)
     )
+    return f"{text}\n{absent}" if absent else text
 
 
-def _describe_absent_classes(result):
-    """A line that names the classes without samples; empty if there are none."""
-    absent = result.get("classes_without_samples")
-    if not absent:
+def describe_absent_classes(names) -> str:
+    """The warning that names the classes without samples; empty if there are none."""
+    if not names:
         return ""
-    names = list_names(absent)
-    return f"\n{WARNING}classes without samples: {names}; the accuracies do not cover them"
+    return (
+        f"{WARNING}classes without samples: {list_names(names)}; the accuracies do not cover them"
+    )
 
 
 def format_result_on_others(result: dict) -> str:

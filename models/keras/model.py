@@ -67,7 +67,7 @@ class KerasLayer(NamedTuple):
         return f"layer {self.name!r} ({self.kind})"
 
     def compute(self, values) -> np.ndarray:
-        """What the layer computes of a sample, in double precision.
+        """Compute the layer's output for a sample, in double precision.
 
         Raises
         ------

@@ -108,7 +108,7 @@ def _read_layer(layer) -> KerasLayer:
 
 
 def _make_function(model, compute):
-    """What a model computes of a batch with a function that calls its layers."""
+    """Return ``compute``, which calls the layers of a model, compiled if they need it."""
     from models.keras.keras2 import quiet_compiler, tf
 
     # XLA computes convolutions with channels first on a CPU, which TensorFlow does not.

@@ -75,7 +75,7 @@ def _append_windows(converter, layer, kernel, bias, counts) -> bool:
 
 
 def _find_windows(converter, layer, size):
-    """What a convolution reads of an image, or None if it reads no image.
+    """Find the values of the built image that a convolution reads; None if there is no image.
 
     Returns
     -------

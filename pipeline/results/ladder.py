@@ -9,8 +9,9 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
+from deploy.check.text import describe_absent_classes
 from deploy.files import reporting_damage
-from deploy.tables import SIGNIFICANCE, align_rows, format_p, list_names, mark_significance
+from deploy.tables import SIGNIFICANCE, align_rows, format_p, mark_significance
 from deploy.targets.registry import TARGETS, list_ladder_targets
 from deploy.terminal import WARNING
 from pipeline.kinds.diagnosis import find_least_faithful, format_layers
@@ -331,9 +332,8 @@ def _describe_notes(ladder):
             lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder.while_written:
         lines.append(describe_early_decisions(ladder.while_written, rows[-1]))
-    if absent := ladder.classes_without_samples:
-        names = list_names(absent)
-        lines.append(f"{WARNING}classes without samples: {names}; the accuracies do not cover them")
+    if ladder.classes_without_samples:
+        lines.append(describe_absent_classes(ladder.classes_without_samples))
     return lines
 
 

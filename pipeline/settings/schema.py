@@ -177,7 +177,7 @@ class Settings(SettingsGroup):
         """The input of the chip."""
         if self.on_events:
             inputs = self.input
-            return EventFrames(inputs.step / 1000, inputs.refractory_steps, inputs.max_spikes)
+            return EventFrames(inputs.step_ms / 1000, inputs.refractory_steps, inputs.max_spikes)
         return ImageSpikes(self.deployment.input_rate_hz, self.deployment.input_phase)
 
     @property
@@ -195,10 +195,9 @@ class Settings(SettingsGroup):
         if self.nir.file:
             return (0,)
         sections = self.events.parts or 1
-        section = (
-            self.events.section_ms or 1000 * paper.DURATION_S / sections
-        ) / self.input.step_ms
-        return tuple(sorted({round(k * section) for k in range(sections)}))
+        section_ms = self.events.section_ms or 1000 * paper.DURATION_S / sections
+        steps = section_ms / self.input.step_ms
+        return tuple(sorted({round(k * steps) for k in range(sections)}))
 
     @property
     def on_events(self) -> bool:

@@ -34,7 +34,7 @@ class Population:
     Attributes
     ----------
     people : int
-        Number of people, by default so many that a network does not learn single ones.
+        Number of people.  The default is so large that a network does not learn single ones.
     chunked_share : float
         Share of the recordings that keep the order of events and not their time
         (:mod:`pipeline.recordings.chunks`).

@@ -225,11 +225,11 @@ def _find_empty_classes(entries, folders):
     classes = {
         folder for folder in parents if folder.name.lower() not in PART_OF_FOLDER and folder.name
     }
-    parents = {folder.parent for folder in classes}
+    around = {folder.parent for folder in classes}
     return [
         (str(folder), "is a class without a recording; remove the folder")
         for folder in map(PurePosixPath, folders)
-        if folder.parent in parents and folder not in classes and not is_ignored(folder)
+        if folder.parent in around and folder not in classes and not is_ignored(folder)
     ]
 
 

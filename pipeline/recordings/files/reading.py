@@ -106,7 +106,8 @@ def read_source(
     if reading.labelled:
         _require_every_class(path, listing, files)
     names = {entry.of_class for entry in files.entries}
-    classes, remark = order_classes(names, _read_class_order(listing))
+    class_order = _read_table(listing.path, listing.class_order, bytes)
+    classes, remark = order_classes(names, class_order)
     remarks = [*_describe_order(order), *interpretation.remarks, *filter(None, [remark])]
     source = _make_source(listing, files, interpretation, tuple(remarks))
     source = replace(source, warnings=warnings)
@@ -182,13 +183,6 @@ def _read_table(path: Path, member: str | None, read_content):
         return read_content(find_reader(path).read(member))
     except BadRecording as error:
         raise UserError(f"{path}: {member} {error}; correct or remove it") from error
-
-
-def _read_class_order(listing) -> bytes | None:
-    """The content of ``classes.txt``; None without the file."""
-    if listing.class_order is None:
-        return None
-    return find_reader(listing.path).read(listing.class_order)
 
 
 def _settle_orders(path, files):
