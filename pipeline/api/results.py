@@ -181,6 +181,12 @@ class Predictions(Result):
 
     So is ``predictions[0]``, that of the first recording.
 
+    Parameters
+    ----------
+    predictions : list of pipeline.results.other_recordings.Prediction
+    classes : sequence of str
+        Names of the network's classes, in the order of its outputs.
+
     Attributes
     ----------
     ids : list of str
@@ -189,14 +195,40 @@ class Predictions(Result):
     probabilities : list of (float or None)
         Estimated probability of each that the class is right, or the softmax of the outputs if the
         network has no confidence estimator; None where no spike has reached the readout.
+    classes : tuple of str
+        Names of the network's classes.
+    class_probabilities : ndarray of float, shape (n_recordings, n_classes)
+        Probability of each of the ``classes``; a row has the sum 1, and is NaN where no spike has
+        reached the readout.
+
+    Examples
+    --------
+    >>> p = run.predict(recordings)
+    >>> p.classes
+    ('left', 'right')
+    >>> p.class_probabilities.round(2)
+    array([[0.97, 0.03],
+           [0.08, 0.92]])
+    >>> p.names
+    ['left', 'right']
     """
 
-    def __init__(self, predictions):
+    def __init__(self, predictions, classes):
         rows = [
-            {"recording": each.recording, "class": each.label, "probability": each.probability}
+            {
+                "recording": each.recording,
+                "class": each.label,
+                "probability": each.probability,
+                "class_probabilities": each.class_probabilities,
+            }
             for each in predictions
         ]
         super().__init__({"predictions": rows})
+        self.classes = tuple(classes)
+        self.class_probabilities = np.full((len(rows), len(self.classes)), np.nan)
+        for row, by_class in zip(self.class_probabilities, rows, strict=True):
+            if by_class["class_probabilities"] is not None:
+                row[:] = list(by_class["class_probabilities"].values())
         self.ids = [row["recording"] for row in rows]
         self.names = [row["class"] for row in rows]
         self.probabilities = [row["probability"] for row in rows]

@@ -80,8 +80,9 @@ class Run:
     ----------
     path : Path
     notes : list of str
-        What the last method had to say: choices, warnings, what is up to date.  Choices and
-        warnings on the recordings are printed by the first method only.
+        What the last method has said: choices, warnings, what is up to date.  Each method begins a
+        new list, to which the attributes (`dataset`, `bundle`) add their lines.  Choices and
+        warnings on the recordings are in the notes of each method, and printed by the first only.
 
     Raises
     ------
@@ -120,6 +121,8 @@ class Run:
         self._changes = changes
         if isinstance(data, Recordings):
             data.write(self._name_source(data))
+        if line := self._suggest_run():
+            self._say(line)
         if line := self._describe_changes():
             self._say(
                 f"{WARNING}{self.path}: {line}: the next methods make its networks, bundle and "
@@ -130,7 +133,8 @@ class Run:
         settings = self._user_settings
         source = settings.data.source
         source = source if source == SIMULATED else PurePath(source).name
-        return f"Run({str(self.path)!r}: {settings.input.kind}, {source})"
+        is_new = "" if self._folder.experiment.exists() else "new, "
+        return f"Run({str(self.path)!r}: {is_new}{settings.input.kind}, {source})"
 
     @property
     def settings(self) -> Settings:
@@ -142,8 +146,8 @@ class Run:
     @property
     def dataset(self) -> Dataset:
         """The recordings, their split, and the inputs of the network."""
-        with self._collect_notes():
-            recordings = load_named_recordings(self._user_settings, self._jobs, self._say)
+        with self._hide_progress_if_quiet():
+            recordings = load_named_recordings(self._user_settings, self._jobs, self._say_once)
             return prepare_dataset(self._user_settings, recordings, needs_check=False)
 
     @property
@@ -165,6 +169,22 @@ class Run:
                 "that of the present settings"
             )
         return read_bundle(self._folder.bundle)
+
+    def _suggest_run(self):
+        """The run next to a new one that may be meant, in a line; empty without one.
+
+        A new run without recordings may be a misspelt one.
+        """
+        if self._folder.experiment.exists() or self._user_settings.data.source != SIMULATED:
+            return ""
+        runs = [each.parent.name for each in self.path.parent.glob("*/experiment.toml")]
+        near = difflib.get_close_matches(self.path.name, runs, n=1)
+        if not near:
+            return ""
+        return (
+            f"{self.path}: a new run, on simulated digits (did you mean the run "
+            f"{self.path.with_name(near[0])}?)"
+        )
 
     def _describe_changes(self):
         """The settings that differ from those of the networks of the run, in a line."""
@@ -259,7 +279,9 @@ class Run:
             Other recordings of the same sensor and classes; default: the bundle's samples.
         samples : int, optional
             With ``data``: number of recordings that are drawn at random; 0 for all, default 200.
+            The bundle's own samples are as many as the setting ``check.samples`` says.
         """
+        _require_samples(samples, data)
         if data is not None:
             return self._check_on_others(target, data, samples)
         with self._open() as opened:
@@ -280,7 +302,7 @@ class Run:
         target : str
         """
         with self._collect_notes(), self._put_on_disk(recordings) as path:
-            others = OtherRecordings(str(path), jobs=self._jobs)
+            others = OtherRecordings(str(path), jobs=self._jobs, name=_get_name(recordings))
             predictions = other_recordings.predict_recordings(
                 self.bundle, others, target, self._say
             )
@@ -290,11 +312,12 @@ class Run:
                 replace(numbered[number], recording=recordings.ids[number])
                 for number in sorted(numbered)
             ]
-        return Predictions(predictions)
+        return Predictions(predictions, read_classes(self.bundle.spec))
 
     def plan(self) -> ChipPlan:
         """The resources of the chip that the network needs."""
-        return ChipPlan(make_plan(self.bundle.spec))
+        with self._collect_notes():
+            return ChipPlan(make_plan(self.bundle.spec))
 
     def energy(self, target: str = "fast") -> Energy:
         """An estimate of the energy of an inference, from the spikes on a target."""
@@ -319,14 +342,15 @@ class Run:
         dict of int to pipeline.results.report.samples.Replay
         """
         numbers = [numbers] if isinstance(numbers, Integral) else list(numbers)
-        bundle = self.bundle
-        n_samples = len(bundle.checks.labels)
-        for number in numbers:
-            if not 0 <= number < n_samples:
-                raise UserError(
-                    f"{ORIGIN}: no sample {number}; those of the check are 0 to {n_samples - 1}"
-                )
-        return replay_samples(bundle, numbers)
+        with self._collect_notes():
+            bundle = self.bundle
+            n_samples = len(bundle.checks.labels)
+            for number in numbers:
+                if not 0 <= number < n_samples:
+                    raise UserError(
+                        f"{ORIGIN}: no sample {number}; those of the check are 0 to {n_samples - 1}"
+                    )
+            return replay_samples(bundle, numbers)
 
     @contextlib.contextmanager
     def _open(self, needs_check=True, validate=None):
@@ -347,8 +371,11 @@ class Run:
     def _collect_notes(self):
         """The work of one method: its notes alone, and no progress if the run is quiet."""
         self.notes = []
-        with hide_progress() if self._quiet else contextlib.nullcontext():
+        with self._hide_progress_if_quiet():
             yield
+
+    def _hide_progress_if_quiet(self):
+        return hide_progress() if self._quiet else contextlib.nullcontext()
 
     def _say(self, line):
         self.notes.append(line)
@@ -381,16 +408,17 @@ class Run:
 
     def _check_on_others(self, target, data, samples):
         """The check on other recordings, as ``stmnist check run --data``."""
-        if samples is not None and (not isinstance(samples, Integral) or samples < 0):
-            raise UserError(
-                f"{ORIGIN}: {samples} samples; give a whole number from 0, which means all"
-            )
-        bundle = self.bundle
-        check = TargetCheck(target, bundle.seed)
         with self._collect_notes(), self._put_on_disk(data) as path:
-            others = OtherRecordings(str(path), samples, jobs=self._jobs)
+            bundle = self.bundle
+            check = TargetCheck(target, bundle.seed)
+            others = OtherRecordings(str(path), samples, jobs=self._jobs, name=_get_name(data))
             result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))
+
+
+def _get_name(recordings) -> str:
+    """The name of recordings in memory; empty for a path, whose name they have."""
+    return recordings.source.name if isinstance(recordings, Recordings) else ""
 
 
 def _list_names(changes, section=""):
@@ -409,6 +437,19 @@ def _refuse_misspelt_arguments(settings):
         near = [] if name in known else difflib.get_close_matches(name, ARGUMENTS, n=1)
         if near:
             raise UserError(f"{ORIGIN}: {name!r} is unknown (did you mean {near[0]!r}?)")
+
+
+def _require_samples(samples, data):
+    """Refuse a number of samples that is none, or for which there are no other recordings."""
+    if samples is None:
+        return
+    if not isinstance(samples, Integral) or isinstance(samples, bool) or samples < 0:
+        raise UserError(f"{ORIGIN}: {samples} samples; give a whole number from 0, which means all")
+    if data is None:
+        raise UserError(
+            f"{ORIGIN}: samples={samples} is for other recordings, which data= names; the number "
+            "of the bundle's own samples is the setting check.samples"
+        )
 
 
 def _require_jobs(jobs):

@@ -29,6 +29,7 @@ def predict(  # noqa: PLR0913 - each is an option of the command
     network at rest.
     """
     from deploy.check.bundle import read_bundle
+    from deploy.network.provenance import read_classes
     from pipeline.api.results import Predictions
     from pipeline.results.check_on_others import OtherRecordings
     from pipeline.results.other_recordings import predict_recordings
@@ -37,5 +38,7 @@ def predict(  # noqa: PLR0913 - each is an option of the command
     opened = read_bundle(folder)
     options.warn_if_outdated(folder)
     others = OtherRecordings(data, skip_bad=skip_bad, time_unit=time_unit, jobs=jobs)
-    predictions = Predictions(predict_recordings(opened, others, target, options.say))
+    predictions = Predictions(
+        predict_recordings(opened, others, target, options.say), read_classes(opened.spec)
+    )
     options.print_result(predictions.to_dict(), lambda _: str(predictions), as_json)

@@ -128,7 +128,20 @@ class Recordings:
         return read_recordings(path, **reading)
 
     @classmethod
-    def from_arrays(cls, events, labels=None, rows=0, columns=0, **more) -> Recordings:
+    def from_arrays(  # noqa: PLR0913 - a public function, whose callers name all but the first two
+        cls,
+        events,
+        labels=None,
+        rows=0,
+        columns=0,
+        *,
+        classes=None,
+        time_unit="",
+        writers=None,
+        simulated=False,
+        parts=None,
+        name="arrays",
+    ) -> Recordings:
         """Make recordings of events in memory, in the order in which they are given.
 
         Parameters
@@ -140,9 +153,19 @@ class Recordings:
             Class of each recording: a number from 0, or a name; default: not known.
         rows, columns : int
             Size of the sensor; default: that of the events' places.
-        **more
-            ``classes``, ``time_unit``, ``writers``, ``simulated`` and ``parts``, as in
-            :func:`pipeline.recordings.files.writing.write_recordings`.
+        classes : sequence of str, optional
+            Names of the labels 0, 1, ...; default: the labels themselves.
+        time_unit : str
+            Unit of the times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; empty: guessed from the
+            durations, and printed.
+        writers : sequence of int, optional
+            Number of the person who made each recording, from 0.
+        simulated : bool
+            True if the recordings are simulated; every result repeats this.
+        parts : sequence of str, optional
+            ``"train"`` or ``"test"`` for each recording, of a data set with a published split.
+        name : str
+            What messages and reports call the recordings.
 
         Raises
         ------
@@ -151,7 +174,14 @@ class Recordings:
         """
         from pipeline.recordings.arrays import make_recordings  # imports this module
 
-        return make_recordings(events, labels, rows, columns, **more)
+        details = {
+            "classes": classes,
+            "time_unit": time_unit,
+            "writers": writers,
+            "simulated": simulated,
+            "parts": parts,
+        }
+        return make_recordings(events, labels, (rows, columns), name, details)
 
     def write(self, path):
         """Write the recordings as a zip that every command accepts.
@@ -197,6 +227,11 @@ class Recordings:
             writers=self.writers[indices],
             parts=tuple(self.parts[index] for index in indices),
         )
+
+    @property
+    def classes(self) -> tuple:
+        """Names of the classes 0, 1, ..., those of the sensor."""
+        return self.sensor.classes
 
     @property
     def is_split(self) -> bool:

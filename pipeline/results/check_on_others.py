@@ -28,6 +28,8 @@ class OtherRecordings:
         Unit of times in files of events; empty: the files' own, or that of the training.
     jobs : int
         Number of processes that read the recordings.
+    name : str
+        What messages and results call the recordings; empty: the name of the zip or folder.
     """
 
     data: str | None = None
@@ -35,6 +37,7 @@ class OtherRecordings:
     skip_bad: bool = False
     time_unit: str = ""
     jobs: int = 2
+    name: str = ""
 
 
 def check_on_others(
@@ -76,9 +79,7 @@ def check_on_others(
 
     assert others.data is not None, "the bundle's own samples are no other recordings"
     settings = other_recordings.find_settings_around(bundle, others.skip_bad, others.time_unit)
-    recordings = other_recordings.read_recordings_for(
-        bundle, others.data, settings, others.jobs, say
-    )
+    recordings = other_recordings.read_others(bundle, others, settings, say)
     for line in other_recordings.list_warnings(bundle, recordings):
         say(line)
     presented, indices = other_recordings.replace_check_samples(

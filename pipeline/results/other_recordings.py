@@ -9,6 +9,7 @@ import numpy as np
 from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
+from deploy.network.decision import compute_probabilities
 from deploy.network.provenance import read_classes, read_training_hashes
 from deploy.network.stimulus import EventFrames
 from deploy.tables import list_names
@@ -148,6 +149,18 @@ def read_recordings_for(
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=classes))
 
 
+def read_others(
+    bundle: Bundle, others: OtherRecordings, settings: Settings, warn, labelled: bool = True
+) -> Recordings:
+    """As :func:`read_recordings_for`, under the name that the user gave the recordings."""
+    recordings = read_recordings_for(
+        bundle, str(others.data), settings, others.jobs, warn, labelled
+    )
+    if not others.name:
+        return recordings
+    return replace(recordings, source=replace(recordings.source, name=others.name))
+
+
 @dataclass(frozen=True)
 class Prediction:
     """The prediction for a recording.
@@ -161,11 +174,15 @@ class Prediction:
     probability : float or None
         Estimated probability that the class is right, or the softmax of the outputs if the network
         has no confidence estimator; None where no spike has reached the readout.
+    class_probabilities : dict of str to float, or None
+        Probability of each class by its name, with the sum 1; that of ``label`` is
+        ``probability``, unless this is below 1 / n_classes.  None where it is None.
     """
 
     recording: str
     label: str
     probability: float | None
+    class_probabilities: dict[str, float] | None = None
 
 
 def predict_recordings(
@@ -194,9 +211,7 @@ def predict_recordings(
         The recordings cannot be read, or are from another sensor.
     """
     settings = find_settings_around(bundle, others.skip_bad, others.time_unit)
-    recordings = read_recordings_for(
-        bundle, str(others.data), settings, others.jobs, warn, labelled=False
-    )
+    recordings = read_others(bundle, others, settings, warn, labelled=False)
     for line in list_warnings(bundle, recordings):
         warn(line)
     if bundle.spec.estimator is None and bundle.spec.layers[-1].neurons is None:
@@ -209,11 +224,18 @@ def predict_recordings(
     probabilities = responses.probabilities
     if probabilities is None:
         probabilities = np.full(len(recordings), np.nan)
+    by_class = compute_probabilities(responses.scores, np.nan_to_num(probabilities))
+    rows = zip(recordings.ids, responses.predictions, probabilities, by_class, strict=True)
     return [
-        Prediction(name, names[number], None if np.isnan(probability) else float(probability))
-        for name, number, probability in zip(
-            recordings.ids, responses.predictions, probabilities, strict=True
+        Prediction(recording, names[number], None)
+        if np.isnan(probability)
+        else Prediction(
+            recording,
+            names[number],
+            float(probability),
+            dict(zip(names, shares.tolist(), strict=True)),
         )
+        for recording, number, probability, shares in rows
     ]
 
 

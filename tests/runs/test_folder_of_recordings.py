@@ -93,7 +93,7 @@ def test_recordings_without_labels_are_classified(folder, kind, tmp_path, capsys
         (tmp_path / "known" / name).mkdir(parents=True)
         shutil.copy(folder / "own" / name / "003.npz", tmp_path / "known" / name)
     known = Predictions(
-        other_recordings.predict_recordings(bundle, OtherRecordings(tmp_path / "known"))
+        other_recordings.predict_recordings(bundle, OtherRecordings(tmp_path / "known")), CLASSES
     )
     assert set(known) == {f"{name}/003" for name in CLASSES[:2]}
     (tmp_path / "new" / "today").mkdir(parents=True)
@@ -116,7 +116,11 @@ def predict_by_command(run, path, capsys):
     capsys.readouterr()
     assert call("predict", run, path, "--jobs", 1, "--json") == 0
     rows = json.loads(capsys.readouterr().out)["predictions"]
-    assert all(row["probability"] is None or 0 < row["probability"] < 1 for row in rows)
+    for row in rows:
+        if row["probability"] is not None:
+            by_class = row["class_probabilities"]
+            assert max(by_class, key=by_class.get) == row["class"]
+            assert by_class[row["class"]] == pytest.approx(row["probability"], abs=1e-3)
     return {row["recording"]: row["class"] for row in rows}
 
 

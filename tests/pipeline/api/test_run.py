@@ -9,7 +9,9 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline import workflow
+from pipeline.api.results import Predictions
 from pipeline.recordings.recordings import Recordings
+from pipeline.results.other_recordings import Prediction
 from pipeline.results.status import list_states
 from pipeline.storage.run_folder import RunFolder
 from stmnist import Run, compare_runs
@@ -74,6 +76,46 @@ def test_recordings_without_labels_cannot_be_checked(run):
         run.check("fast", data=unlabelled)
     with pytest.raises(UserError, match=r"1\.5 samples"):
         run.check("fast", data=unlabelled, samples=1.5)
+
+
+def test_recordings_without_a_spike_at_the_readout_have_no_probabilities():
+    """Their row is NaN, and null in JSON."""
+    silent = Predictions([Prediction("0", "left", None)], CLASSES)
+    assert silent.class_probabilities.shape == (1, 2)
+    assert np.isnan(silent.class_probabilities).all()
+    assert silent.to_dict()["predictions"][0]["class_probabilities"] is None
+
+
+@pytest.mark.parametrize(("events", "labels", "remedy"), [
+    ({"x": [1], "y": [1], "t": [0.1], "p": [1]}, None, "[events]"),
+    (np.zeros((5, 4)), None, "[events]"),
+    ([np.zeros(5)] * 4, None, "[events]"),
+    (np.zeros(3, [("x", int), ("y", int), ("t", float), ("p", int)]), None, "[events]"),
+    (arrays(2)[0], np.array([0.0, 1.0]), "labels.astype(int)"),
+    (arrays(2)[0], np.eye(2), "labels.argmax(1)"),
+    (arrays(3)[0], "tap", "a list"),
+])  # fmt: skip
+def test_arrays_that_a_beginner_gives_have_a_remedy(events, labels, remedy):
+    with pytest.raises(UserError) as caught:
+        Recordings.from_arrays(events, labels, time_unit="s")
+    assert remedy in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_recordings_from_arrays_have_a_name(run):
+    events, labels = arrays(4)
+    with pytest.raises(TypeError, match=r"from_arrays\(\).*'unit'"):
+        Recordings.from_arrays(events, labels, unit="s")
+    with pytest.raises(UserError, match="without a slash"):
+        Recordings.from_arrays(events, labels, name="a/b")
+    named = Recordings.from_arrays(
+        events, labels, classes=CLASSES, time_unit="s", name="today 2.5 N"
+    )
+    assert named.source.name == "today 2.5 N"
+    result = run.check("fast", data=named)
+    assert result.to_dict()["data"]["source"] == "today 2.5 N"
+    with pytest.raises(UserError, match=r"^today 2\.5 N: "):
+        run.check("fast", data=named, samples=9)
 
 
 def test_recordings_from_arrays_keep_their_order(run):
@@ -171,6 +213,12 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     assert predictions[recordings.ids[0]] == predictions[0] == predictions.names[0]
     assert max(map(len, map(repr, (run.bundle, run.dataset, run.replay([0])[0])))) < 300
     assert all(0 < probability < 1 for probability in predictions.probabilities)
+    assert predictions.classes == recordings.classes == ("left", "right")
+    shares = predictions.class_probabilities
+    assert shares.shape == (8, 2)
+    np.testing.assert_allclose(shares.sum(1), 1)
+    np.testing.assert_allclose(shares.max(1), predictions.probabilities, atol=1e-3)
+    assert [CLASSES[index] for index in shares.argmax(1)] == predictions.names
     assert is_one_line(predictions)
     backwards = recordings.subset(range(7, -1, -1))
     again = run.predict(backwards)
@@ -216,6 +264,11 @@ def test_wrong_recordings_and_samples_are_refused(run, tmp_path):
         Run(tmp_path / "new", data=3)
     with pytest.raises(UserError, match="-1 samples"):
         run.check("fast", data=Recordings.from_arrays(events, labels), samples=-1)
+    for samples in (-1, 1.5, True):
+        with pytest.raises(UserError, match="whole number"):
+            run.check("fast", samples=samples)
+    with pytest.raises(UserError, match=r"data=.*check\.samples"):
+        run.check("fast", samples=3)
     with pytest.raises(UserError, match="no sample 99"):
         run.replay([99])
 
@@ -237,6 +290,31 @@ def test_the_energy_of_a_run(run):
     assert energy.estimate.chip_joules > 0
     assert is_one_line(energy)
     assert "uJ" in repr(energy)
+
+
+def test_the_notes_are_those_of_the_last_method(run):
+    opened = Run(run.path, quiet=True)
+    opened.train()
+    lines = list(opened.notes)
+    assert lines
+    assert len(opened.dataset.split.test) >= 10
+    assert opened.bundle.spec
+    assert opened.notes[: len(lines)] == lines
+    for method in (opened.plan, lambda: opened.replay([0]), opened.report):
+        opened.train()
+        method()
+        assert missing(opened.notes, *lines) == lines
+
+
+def test_a_new_run_names_the_run_that_may_be_meant(run, capsys):
+    misspelt = run.path.with_name(run.path.name + "n")
+    assert repr(Run(misspelt)) == f"Run({str(misspelt)!r}: new, image, simulated)"
+    assert f"did you mean the run {run.path}?" in capsys.readouterr().err
+    Run(misspelt, data=run.settings.data.source)
+    Run(run.path)
+    assert "new" not in repr(Run(run.path))
+    assert capsys.readouterr().err == ""
+    assert not misspelt.exists()
 
 
 def test_a_run_writes_its_report(run):
