@@ -1,7 +1,8 @@
-"""A hook of MkDocs: notebooks and groups of the Python reference as pages; references; prompts."""
+"""A hook of MkDocs: pages of notebooks and of the Python reference; references, pictures."""
 
 from __future__ import annotations
 
+import base64
 import html
 import json
 import re
@@ -65,8 +66,10 @@ def on_files(files, config):
         files.append(File.generated(config, page_name(title), content=text))
     for path in sorted(Path(config["docs_dir"]).glob("tutorials/*.ipynb")):
         name = f"tutorials/{path.stem}.md"
-        text = page(json.loads(path.read_text(encoding="utf-8")), f"{path.stem}.ipynb")
+        text, pictures = page(json.loads(path.read_text(encoding="utf-8")), path.stem)
         files.append(File.generated(config, name, content=text))
+        for picture, content in pictures.items():
+            files.append(File.generated(config, f"tutorials/{picture}", content=content))
     return files
 
 
@@ -82,13 +85,22 @@ def on_page_markdown(markdown, page, **_):
 
 
 def on_page_content(content, **_):
-    """References that docstrings have in Sphinx's notation, without it."""
-    return re.sub(r":(?:attr|class|func|meth|data|mod):(?=<code>)", "", content)
+    """References of docstrings without Sphinx's notation; pictures as links, to enlarge them."""
+    content = re.sub(r":(?:attr|class|func|meth|data|mod):(?=<code>)", "", content)
+    return re.sub(r'(<img [^>]*?src="([^"]+)"[^>]*>)(?!</a>)', r'<a href="\2">\1</a>', content)
 
 
-def page(notebook: dict, name: str) -> str:
-    """A notebook as Markdown: text, code, and what the code printed and drew."""
+def page(notebook: dict, name: str) -> tuple:
+    """A notebook as Markdown: text, code, and what the code printed and drew.
+
+    Returns
+    -------
+    text : str
+    pictures : dict of str to bytes
+        The files of what was drawn, by their names.
+    """
     parts, title = [], ""
+    pictures: dict = {}
     for cell in notebook["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
@@ -99,12 +111,13 @@ def page(notebook: dict, name: str) -> str:
         for output in cell["outputs"]:
             data = output.get("data", {})
             if "image/png" in data:
-                picture = "".join(data["image/png"]).replace("\n", "")
-                parts.append(f"![{title}: what this code draws](data:image/png;base64,{picture})")
+                picture = f"{name}-{len(pictures) + 1}.png"
+                pictures[picture] = base64.b64decode("".join(data["image/png"]))
+                parts.append(f"![{title}: what this code draws]({picture})")
             else:
                 text = "".join(output.get("text", data.get("text/plain", "")))
                 # A search is for what the documents say, not for what a training printed.
                 shown = f"<pre><code>{html.escape(text.rstrip())}</code></pre>"
                 parts.append(f'<div class="highlight" data-search-exclude>{shown}</div>')
-    parts.insert(1, f"[This page as a notebook]({name})")
-    return "\n\n".join(parts) + "\n"
+    parts.insert(1, f"[This page as a notebook]({name}.ipynb)")
+    return "\n\n".join(parts) + "\n", pictures

@@ -140,20 +140,30 @@ def _animate_touch(path):
 
 
 def draw_maps(maps: dict) -> Figure:
-    """How often each taxel is active in recordings of each digit, a row for each kind.
+    """How often each taxel is active in recordings of each digit, with five digits in a row.
 
     Parameters
     ----------
     maps : dict of list, shape (10, 100)
         Shares by kind of recordings, taxels by columns.
     """
-    figure = Figure(figsize=(10, 2.3), layout="constrained")
-    axes = figure.subplots(len(maps), 10)
-    for panels, (kind, shares) in zip(axes, maps.items(), strict=True):
-        panels[0].set_ylabel(kind)
-        for panel, share in zip(panels, shares, strict=True):
-            panel.imshow(np.reshape(share, (GRID, GRID)).T, cmap=SHADES, vmin=0, vmax=1)
+    figure = Figure(figsize=(6, 5.8), layout="constrained")
+    per_row = 5
+    axes = figure.subplots(2 * len(maps), per_row)
+    for number, (kind, shares) in enumerate(maps.items()):
+        for digit, share in enumerate(shares):
+            down, across = divmod(digit, per_row)
+            panel = axes[len(maps) * down + number, across]
+            image = np.reshape(share, (GRID, GRID)).T
+            shown = panel.imshow(image, cmap=SHADES, vmin=0, vmax=1)
             panel.set(xticks=[], yticks=[])
+            if across == 0:
+                panel.set_ylabel(kind, size=12)
+            if number == 0:
+                panel.set_title(str(digit))
+    scale = figure.colorbar(shown, ax=axes, location="bottom", aspect=40, ticks=[0, 0.5, 1])
+    scale.set_ticklabels(["0 %", "50 %", "100 %"], size=11)
+    scale.set_label("of the recordings in which the taxel has events", size=11)
     return figure
 
 
@@ -166,7 +176,7 @@ def draw_operations(rows: list) -> Figure:
         Of one split, by :func:`experiments.tables.make_table`.
     """
     by_name = {row["name"]: row for row in rows}
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    figure = Figure(figsize=(5.6, 4), layout="constrained")
     axes = figure.subplots()
     for name, title in NETWORKS.items():
         row = by_name[name]
@@ -175,7 +185,7 @@ def draw_operations(rows: list) -> Figure:
             operations, row["mean"], row["sd"], fmt="o", color=find_colour("on"), capsize=3
         )
         point = (operations, row["mean"])
-        axes.annotate(title, point, (8, -4), textcoords="offset points", fontsize=9)
+        axes.annotate(title, point, (7, -9), textcoords="offset points")
     for name, title in BASELINES.items():
         accuracy = by_name[name]["mean"]
         axes.axhline(accuracy, color=find_colour("soft"), linestyle="--", linewidth=1, zorder=0)
@@ -184,15 +194,14 @@ def draw_operations(rows: list) -> Figure:
             (0.98, accuracy),
             (0, 3),
             ha="right",
-            fontsize=9,
             color=find_colour("soft"),
             textcoords="offset points",
             xycoords=("axes fraction", "data"),
         )
     axes.set(
-        xlim=(0, 9.5),
+        xlim=(0, 10.5),
         ylim=(0.88, 0.99),
-        xlabel="synaptic operations per recording, in multiples of the paper's CNN",
+        xlabel="synaptic operations per recording\nin multiples of the paper's CNN",
         ylabel="accuracy on the published split",
     )
     return figure

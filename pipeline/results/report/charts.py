@@ -25,7 +25,7 @@ TOP = 26
 BOTTOM = 40
 # Width of a timeline, the top of its first panel, and height and distance of its panels.
 TIMELINE = 2 * WIDTH
-FIRST_PANEL = 20
+FIRST_PANEL = 22
 PANEL = 90
 PANEL_GAP = 26
 # Points of a line that have a tooltip of their own.
@@ -197,9 +197,9 @@ def draw_timeline(panels, extent: float, x_label: str, description: str = "", ma
     for tick in x_axis.list_ticks():
         marks.append(_draw_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
         anchor = "end" if x_axis(tick) > TIMELINE - 2 * RIGHT else "middle"
-        marks.append(_draw_text(x_axis(tick), end + 18, x_axis.format_label(tick), anchor))
-    marks.append(_draw_text((LEFT + TIMELINE) / 2, end + 36, x_label, "middle"))
-    return _make_svg(TIMELINE, end + 42, marks, description, "timeline")
+        marks.append(_draw_text(x_axis(tick), end + 20, x_axis.format_label(tick), anchor))
+    marks.append(_draw_text((LEFT + TIMELINE) / 2, end + 41, x_label, "middle"))
+    return _make_svg(TIMELINE, end + 48, marks, description, "timeline")
 
 
 def _draw_raster(panel: Raster, x_axis, top) -> list:

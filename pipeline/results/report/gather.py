@@ -94,4 +94,14 @@ def _read_others(folder, bundle):
     """Results of the bundle on other recordings; see :mod:`pipeline.results.other_recordings`."""
     files = sorted(Path(folder.path / "checks" / OTHERS).glob("*.json"))
     results = [read_result(path, REMEDY) for path in files]
-    return [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]
+    own = [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]
+    return [{**each, "data": {**each["data"], "title": _title_source(each, own)}} for each in own]
+
+
+def _title_source(result, results):
+    """The name of a result's recordings, with the begin of their hash if others have this name."""
+    data = result["data"]
+    hashes = {
+        each["data"]["sha256"] for each in results if each["data"]["source"] == data["source"]
+    }
+    return data["source"] if len(hashes) == 1 else f"{data['source']} ({data['sha256'][:6]})"

@@ -239,8 +239,8 @@ def _draw_sensor(axes, growing, positions):
         across = (1, 0) if rows == 1 else (0, 1)  # a strip runs down, like the rows of its raster
         image = axes.imshow(growing[0].transpose(across) * 0, aspect="auto", **shades)
         axes.set_box_aspect(np.clip(columns if rows == 1 else rows / columns, 0.25, 4))
-        extreme = f"; darkest at the end: {growing[-1].max()}" * (len(growing) > 1)
-        axes.set_xlabel(f"{rows} x " * (rows > 1) + f"{columns} taxels{extreme}")
+        most = f"\ndarkest at the end: {growing[-1].max()} spikes" * (len(growing) > 1)
+        axes.set_xlabel(f"{rows} x " * (rows > 1) + f"{columns} taxels{most}")
         return lambda values: image.set_data(values.transpose(across))
     dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
     axes.set_aspect("equal", adjustable="datalim")

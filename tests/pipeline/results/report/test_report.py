@@ -14,6 +14,7 @@ from PIL import Image
 
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
+from deploy.files import read_json, write_json
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from pipeline.results.report import page as report
@@ -102,6 +103,21 @@ def test_each_sample_is_among_those_of_its_class(html, tiny_run):
     assert page.count('class="thumb"') == len(bundle.checks) + stories
 
 
+def test_other_recordings_of_one_name_are_told_apart(tiny_run, tmp_path):
+    copied = tmp_path / "run"
+    shutil.copytree(tiny_run, copied)
+    result = read_json(copied / "checks/emulator.json", "")
+    others = copied / "checks/other"
+    others.mkdir(exist_ok=True)
+    for number, (name, sha256) in enumerate(
+        (("arrays", "aaaaaa1"), ("arrays", "bbbbbb2"), ("b", "c"))
+    ):
+        data = {"source": name, "sha256": sha256, "recordings": 9}
+        write_json(others / f"{number}.json", {**result, "data": data, "per_class": []})
+    titles = [each["data"]["title"] for each in gather_report_data(RunFolder(copied)).others]
+    assert titles == ["arrays (aaaaaa)", "arrays (bbbbbb)", "b"]
+
+
 def test_the_verdict_compares_the_same_samples(inputs):
     """Ten samples: eight right, and nine in the reference; one sample differs."""
     result = inputs.deployed_result
@@ -139,12 +155,19 @@ def test_a_setting_that_the_program_chooses_is_listed_as_automatic(inputs):
 
 def test_recall_and_precision_are_those_of_the_answers(inputs):
     pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
-    samples = [{"label": label, "prediction": answer} for label, answer in pairs]
+    samples = [
+        {**sample, "label": label, "prediction": answer}
+        for sample, (label, answer) in zip(inputs.deployed_result["samples"], pairs, strict=False)
+    ]
     results = [{**inputs.deployed_result, "samples": samples}]
     rows = report.make_class_table(replace(inputs, results=results))
     assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
         (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)
     ]  # fmt: skip
+    page = report.render_report(replace(inputs, results=results, replays={}))
+    text = " ".join(Outline(page).text.split())
+    assert "2 1 0.0 % never predicted" in text
+    assert "3 0 no samples never predicted" in text
 
 
 def test_right_samples_are_of_the_classes_that_are_mixed_up():
@@ -210,25 +233,31 @@ def test_an_animation_ends_with_the_answer(tiny_run, tmp_path, refused, monkeypa
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
 @pytest.mark.parametrize("width", [390, 1280, 1920])
 def test_a_browser_shows_it_without_errors(html, tmp_path, width):
-    """There is no console message, nothing is wider than the page, and the ladder fits."""
+    """No console message; page, ladder and plots fit; cells of a table can be tapped."""
     wrapper = tmp_path / "wrapper.html"  # the browser's own window is never narrower than 500
     wrapper.write_text(
         f'<iframe style="width: {width}px; height: 900px; border: 0" '
         f'srcdoc="{escape(html.read_text())}" onload="'
         "const page = this.contentDocument.documentElement;"
         "const ladder = this.contentDocument.querySelector('.ladder').parentNode;"
-        "const hidden = ladder.scrollWidth - ladder.clientWidth;"
-        "document.title = [page.scrollWidth, page.scrollHeight, hidden].join(' ')"
+        "let hidden = ladder.scrollWidth - ladder.clientWidth;"
+        "const plot = this.contentDocument.querySelector('figure:has(svg.timeline)');"
+        "hidden += plot.scrollWidth - plot.clientWidth;"
+        "const cells = [...this.contentDocument.querySelectorAll('.confusion a')];"
+        "const sides = cells.flatMap(a => [a.offsetWidth, a.offsetHeight]);"
+        "const sizes = [page.scrollWidth, page.scrollHeight, hidden, Math.min(...sides)];"
+        "document.title = sizes.join(' ')"
         '"></iframe>'
     )
     command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
     command += ["--enable-logging=stderr", "--dump-dom", wrapper.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     title = re.search(r"<title>([\d ]+)</title>", done.stdout)[1]
-    content, height, hidden = map(int, title.split())
+    content, height, hidden, side = map(int, title.split())
     assert "CONSOLE" not in done.stderr
     assert content == width
     assert hidden == 0
+    assert side >= 24  # of a cell that is tapped, WCAG 2.2
     assert height > 3000
 
 
