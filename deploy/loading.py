@@ -86,6 +86,11 @@ def limited_field(limit: Union[Limit, KeyOf], default=MISSING, name_in_file: str
     return field(default=default, metadata={"limit": limit, "name_in_file": name_in_file})
 
 
+def named_field(name_in_file: str, default=MISSING):
+    """A field of a dataclass whose value has another name in files."""
+    return field(default=default, metadata={"name_in_file": name_in_file})
+
+
 class WrongValue(ValueError):
     """A value does not fit its field.
 
@@ -128,11 +133,7 @@ def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
     """
     if not isinstance(values, dict):
         raise WrongValue(name, f"must be a table of values, not {_shorten(values)}")
-    entries = {
-        entry.metadata.get("name_in_file") or entry.name: entry
-        for entry in fields(kind)
-        if entry.init
-    }
+    entries = _list_entries(kind)
     built = {}
     unknown = sorted(str(key)[:40] for key in set(values) - set(entries))
     if unknown and not ignore_extra:
@@ -150,6 +151,43 @@ def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
         return kind(**built)
     except WrongValue as error:
         raise WrongValue(_join_names(name, error.name), error.problem) from error
+
+
+def dump_dataclass(instance) -> dict:
+    """Plain values of a dataclass, of which :func:`load_dataclass` makes it again.
+
+    A value that is None is left out if this is the default of its field.
+    """
+    values = {}
+    for name, entry in _list_entries(type(instance)).items():
+        value = getattr(instance, entry.name)
+        if value is not None or entry.default is not None:
+            values[name] = _make_plain(value)
+    return values
+
+
+def _make_plain(value):
+    if is_dataclass(value):
+        return dump_dataclass(value)
+    if isinstance(value, dict):
+        return {key: _make_plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_make_plain(entry) for entry in value]
+    return value
+
+
+def list_names_in_file(kind) -> list:
+    """Names that the fields of a dataclass have in files."""
+    return list(_list_entries(kind))
+
+
+def _list_entries(kind) -> dict:
+    """The fields of a dataclass by their names in files."""
+    return {
+        entry.metadata.get("name_in_file") or entry.name: entry
+        for entry in fields(kind)
+        if entry.init
+    }
 
 
 def require_valid(instance):

@@ -40,7 +40,7 @@ GROUPS = {
         "Decision": "deploy.stream.touch",
         "read_bundle": "deploy.check.bundle",
         "run_check": "deploy.check.run",
-        "compare_results": "deploy.check.results",
+        "compare_results": "deploy.check.comparison",
         "make_plan": "deploy.preflight.plan",
         "estimate_energy": "deploy.check.energy",
         "write_nir": "deploy.network.nir",

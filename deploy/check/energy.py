@@ -32,6 +32,7 @@ from ..errors import UserError
 from ..network.chip import LOIHI
 from ..network.spec import NetworkSpec, get_spec
 from ..tables import align_rows
+from .results import CheckResult, to_result
 
 # Joules (Davies et al. 2018).
 CHIP_JOULES = {
@@ -150,14 +151,14 @@ def _make_layer_json(layer) -> dict:
     }
 
 
-def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
+def estimate_energy(spec: NetworkSpec, result: Union[CheckResult, dict]) -> EnergyEstimate:
     """Estimate the energy of an inference from a check's counts.
 
     Parameters
     ----------
     spec : NetworkSpec or Bundle
-    result : dict
-        A check result of the bundle, of any target.
+    result : CheckResult or dict
+        A check result of the bundle, of any target, or its plain values.
 
     Raises
     ------
@@ -167,7 +168,8 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
         The network is neither a NetworkSpec nor a Bundle.
     """
     spec = get_spec(spec)
-    counted = result.get("synaptic_operations", {})
+    result = to_result(result)
+    counted = result.synaptic_operations
     presentation = spec.presentation
     if not {layer.name for layer in spec.layers} <= set(counted):
         raise UserError(
@@ -178,7 +180,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
         LayerEstimate(
             layer=layer.name,
             on_chip=layer.placement == "chip",
-            synaptic_operations=counted[layer.name] / result["n_samples"],
+            synaptic_operations=counted[layer.name] / result.n_samples,
             neuron_updates=layer.size * presentation.period,
             multiply_accumulates=layer.multiply_accumulates,
             neurons=layer.size,

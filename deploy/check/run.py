@@ -6,13 +6,13 @@ import contextlib
 import json
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Callable, Dict, Iterator, List, Optional
 
 from ..errors import UserError
-from ..files import lock_file, reporting_os_errors, write_json
+from ..files import lock_file, reporting_os_errors
 from ..loading import load_dataclass
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
@@ -27,7 +27,8 @@ from ..targets.registry import (
 )
 from ..terminal import WARNING, remark
 from .bundle import Bundle, CheckSet
-from .results import list_versions, make_result
+from .results import CheckResult, write_result
+from .summary import list_versions, make_result
 
 
 def _is_seed(value: object) -> bool:
@@ -64,7 +65,7 @@ def run_check(
     seed: Optional[int] = None,
     advance=None,
     options: Optional[Options] = None,
-) -> dict:
+) -> CheckResult:
     """Run a target on the bundle's samples and write the result.
 
     After each stream its responses are appended to ``.<name>.partial`` next to the result; an
@@ -86,7 +87,7 @@ def run_check(
 
     Returns
     -------
-    dict
+    CheckResult
         The result, as written.  For a board it includes the number of samples whose spikes differ
         from those of ``fast``, since a lost spike cannot be recognised from the predictions.
 
@@ -223,36 +224,38 @@ class OpenCheck:
         self.records[record["first"]] = record
         self.advance(len(record["samples"]))
 
-    def finish(self) -> dict:
+    def finish(self) -> CheckResult:
         """Write and return the result, after the last stream."""
         bundle = self.bundle
         name = self.target.name
         records = [self.records[stream.start] for stream in _list_streams(bundle)]
         samples = [sample for record in records for sample in record["samples"]]
-        extra = {**self._summarise_notes(records), **_list_options(self.options)}
-        if self.target.needs_board:
-            extra.update(self._compare_with_fast(samples))
+        notes = self._summarise_notes(records)
         overflows = {number for record in records for number in record.get("overflows", ())}
         if overflows:
             remark(WARNING + describe_overflows(bundle.spec, name, overflows))
         seconds = sum(record["seconds"] for record in records)
-        result = make_result(bundle, name, self.identity["seed"], samples, seconds, extra)
-        write_json(self.out, result)
+        versions = notes.pop("versions", {})
+        result = make_result(bundle, name, self.identity["seed"], samples, seconds, versions)
+        result = replace(result, target_notes=notes, options=self.identity.get("options"))
+        if self.target.needs_board:
+            result = replace(result, samples_unlike_fast=self._compare_with_fast(samples))
+        write_result(self.out, result)
         with contextlib.suppress(OSError):
             self.partial.unlink()
         return result
 
     def _summarise_notes(self, records) -> dict:
-        """Fields of the result that the target makes of the notes of its streams."""
+        """Entries of the result that the target makes of the notes of its streams."""
         notes = [record["notes"] for record in records if "notes" in record]
         if not notes or self.target.describe is None:
             return {}
-        return self.target.describe(notes)
+        return dict(self.target.describe(notes))
 
-    def _compare_with_fast(self, samples) -> dict:
+    def _compare_with_fast(self, samples) -> Optional[int]:
         """The number of samples whose spikes differ from those of ``fast``.
 
-        Empty without Numba: the board's result is still written.
+        None without Numba: the board's result is still written.
         """
         bundle = self.bundle
         try:
@@ -260,11 +263,10 @@ class OpenCheck:
                 bundle.spec, bundle.checks.inputs, "fast", self.identity["seed"]
             ).spike_hashes
         except UserError:
-            return {}
+            return None
         assert expected is not None  # this target gives them
         pairs = zip(samples, expected)
-        differing = sum(sample.get("spike_hash") != str(spikes) for sample, spikes in pairs)
-        return {"samples_unlike_fast": differing}
+        return sum(sample.get("spike_hash") != str(spikes) for sample, spikes in pairs)
 
 
 def _ignore(n_samples):

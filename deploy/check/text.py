@@ -4,33 +4,29 @@ from __future__ import annotations
 
 from ..tables import align_rows, list_names
 from ..terminal import WARNING, escape_control
-from .results import Comparison
+from .comparison import Comparison
+from .results import CheckResult
 
 
-def format_result(result: dict) -> str:
-    """Format a check result as a few lines.
-
-    Parameters
-    ----------
-    result : dict
-        See :func:`deploy.check.results.make_result`.
-    """
-    low, high = result["accuracy_ci95"]
+def format_result(result: CheckResult) -> str:
+    """Format a check result as a few lines."""
+    low, high = result.accuracy_ci95
+    n_samples = result.n_samples
+    simulated = "simulated " if result.simulated else ""
     spikes = ", ".join(
-        f"{escape_control(name)} {count / result['n_samples']:.0f}"
-        for name, count in result["spikes"].items()
+        f"{escape_control(name)} {count / n_samples:.0f}" for name, count in result.spikes.items()
     )
-    operations = sum(result["synaptic_operations"].values()) / result["n_samples"]
-    macs = sum(result["multiply_accumulates"].values())
-    absent = describe_absent_classes(result.get("classes_without_samples"))
+    operations = sum(result.synaptic_operations.values()) / n_samples
+    macs = sum(result.multiply_accumulates.values())
+    absent = describe_absent_classes(result.classes_without_samples)
     text = (
-        f"{escape_control(result['target'])}: "
-        f"accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
-        f"{high:.3f}) on {result['n_samples']} {_mark_simulated(result)}samples of "
-        f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
+        f"{escape_control(result.target)}: "
+        f"accuracy {result.accuracy:.3f} (95 % interval {low:.3f} to "
+        f"{high:.3f}) on {n_samples} {simulated}samples of "
+        f"{result.steps_per_sample} steps\nspikes a sample: {spikes}\n"
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
         f"{macs} multiply-accumulates of a CNN of this architecture\n"
-        f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
+        f"{result.wall_seconds:.1f} s, {n_samples / result.wall_seconds:.1f} "
         "samples a second" + _describe_hardware(result)
     )
     return f"{text}\n{absent}" if absent else text
@@ -45,29 +41,28 @@ def describe_absent_classes(names) -> str:
     )
 
 
-def format_result_on_others(result: dict) -> str:
+def format_result_on_others(result: CheckResult) -> str:
     """Format a result on other recordings: :func:`format_result`, classes and writers."""
-    named = result["classes"]
-    short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in named}
-    lines = [
-        f"on {result['n_samples']} of {result['data']['recordings']} recordings in "
-        f"{result['data']['source']}"
-    ]
-    if number := result["data"].get("trained_on"):
-        lines.append(f"{number} of them were used to make the network")
+    data = result.data
+    classes = result.classes
+    assert data is not None
+    assert classes is not None
+    short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in classes}
+    lines = [f"on {result.n_samples} of {data.recordings} recordings in {data.source}"]
+    if data.trained_on:
+        lines.append(f"{data.trained_on} of them were used to make the network")
     lines.append(format_result(result))
-    for key in ("class", "writer"):
-        if rows := result.get(f"per_{key}"):
-            cells = [[key, "n", "accuracy", "95 % interval"]]
-            for row in rows:
-                low, high = row["accuracy_ci95"]
-                name = short.get(row[key], str(row[key]))
-                share = f"{row['accuracy']:.3f}"
-                cells.append([name, str(row["n"]), share, f"{low:.3f} to {high:.3f}"])
-            lines += align_rows(cells)
+    for head, subsets in (("class", result.per_class), ("writer", result.per_writer)):
+        if subsets:
+            lines += align_rows(
+                [
+                    [head, "n", "accuracy", "95 % interval"],
+                    *(_make_subset_cells(subset, short) for subset in subsets),
+                ]
+            )
     wrong = [
-        (count, named[label], named[prediction])
-        for label, counts in enumerate(result["confusion"])
+        (count, classes[label], classes[prediction])
+        for label, counts in enumerate(result.confusion or ())
         for prediction, count in enumerate(counts)
         if label != prediction and count
     ]
@@ -76,12 +71,20 @@ def format_result_on_others(result: dict) -> str:
     return "\n".join(lines)
 
 
+def _make_subset_cells(subset, short):
+    """The row of a class or writer in the table of accuracies."""
+    low, high = subset.accuracy_ci95
+    name = str(subset.writer) if subset.class_name is None else short[subset.class_name]
+    return [name, str(subset.n), f"{subset.accuracy:.3f}", f"{low:.3f} to {high:.3f}"]
+
+
 def _describe_hardware(result):
     """Lines about a board."""
-    if "hardware" not in result:
+    notes = result.target_notes
+    if "hardware" not in notes:
         return ""
-    board = result["hardware"]
-    timing = result["timing"]
+    board = notes["hardware"]
+    timing = notes["timing"]
     phases = ", ".join(
         f"{phase} {timing[f'{phase}_seconds_per_sample']:.3f} s"
         for phase in ("build", "connect", "run")
@@ -89,10 +92,10 @@ def _describe_hardware(result):
     text = (
         f"\nboard {_join_named(board['board'], 'of the cluster')}, "
         f"partition {_join_named(board['partition'], 'none')}, "
-        f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
+        f"NxSDK {result.versions['nxsdk']}, {board['connections']} connections; "
         f"per sample: {phases}"
     )
-    unlike = result.get("samples_unlike_fast")  # None without Numba
+    unlike = result.samples_unlike_fast  # None without Numba
     if unlike:
         text += (
             f"\nspikes of {unlike} samples differ from those of the target fast: some were lost, "
@@ -100,8 +103,8 @@ def _describe_hardware(result):
         )
     elif unlike == 0:
         text += "\nall spikes are identical to those of the target fast"
-    if "power" in result:
-        power = result["power"]
+    if "power" in notes:
+        power = notes["power"]
         text += (
             f"\nmeasured power: {power['dynamic_mw']:.3g} mW, in addition to "
             f"{power['static_mw']:.3g} mW when idle, {power['step_microseconds']:.3g} us a step"
@@ -113,10 +116,6 @@ def _join_named(named, without_name):
     """A name, or all of a list of names."""
     names = named if isinstance(named, list) else [named]
     return " and ".join(name or without_name for name in names)
-
-
-def _mark_simulated(result):
-    return "simulated " if result.get("simulated") else ""
 
 
 def format_comparison(comparison: Comparison) -> str:

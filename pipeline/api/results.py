@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deploy.check import results as check_results
 from deploy.check.energy import EnergyEstimate, format_estimate, format_joules
 from deploy.check.text import format_result, format_result_on_others
 from deploy.preflight.plan import Plan, format_plan
@@ -130,28 +131,25 @@ class CheckResult(Result):
         Of each layer, of all samples.
     """
 
-    def __init__(self, values: dict, classes: tuple):
-        super().__init__(values)
-        samples = values["samples"]
-        self.target = values["target"]
-        self.accuracy = values["accuracy"]
-        self.accuracy_ci95 = values["accuracy_ci95"]
-        self.ids = [sample["id"] for sample in samples]
-        self.labels = np.array([sample["label"] for sample in samples])
-        self.predictions = np.array([sample["prediction"] for sample in samples])
+    def __init__(self, result: check_results.CheckResult, classes: tuple):
+        super().__init__(result.to_dict())
+        self._result = result
+        self.target = result.target
+        self.accuracy = result.accuracy
+        self.accuracy_ci95 = result.accuracy_ci95
+        self.ids = [sample.id for sample in result.samples]
+        self.labels = np.array([sample.label for sample in result.samples])
+        self.predictions = np.array([sample.prediction for sample in result.samples])
         self.classes = classes
-        self.spikes = values["spikes"]
-        self.synaptic_operations = values["synaptic_operations"]
+        self.spikes = result.spikes
+        self.synaptic_operations = result.synaptic_operations
 
     def __len__(self):
         return len(self.ids)
 
     def __str__(self):
-        return (
-            format_result_on_others(self.values)
-            if self.values.get("data")
-            else format_result(self.values)
-        )
+        is_on_others = self._result.data is not None
+        return (format_result_on_others if is_on_others else format_result)(self._result)
 
     @property
     def confusion(self) -> np.ndarray:

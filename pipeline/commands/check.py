@@ -1,7 +1,7 @@
 """``stmnist check``: the 200-sample check."""
 
 import contextlib
-from dataclasses import field, make_dataclass
+from dataclasses import field, make_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -116,9 +116,8 @@ def run(  # noqa: PLR0913 - each is an option of the command
     check = TargetCheck(target, deployed.seed if seed is None else seed, target_options)
     if others.data is not None:
         result, path = check_on_others(deployed, others, check, options.say, faults, out)
-        options.print_result(
-            result, lambda value: f"{format_result_on_others(value)}\nwritten to {path}", as_json
-        )
+        text = f"{format_result_on_others(result)}\nwritten to {path}"
+        options.print_result(result.to_dict(), lambda _: text, as_json)
         return
     path = find_checks_folder(deployed.path) / f"{target}.json"
     if faults is not None:
@@ -127,16 +126,15 @@ def run(  # noqa: PLR0913 - each is an option of the command
     else:
         path = out or path
         result = _check_own_samples(deployed, path, check)
-    options.print_result(
-        result, lambda value: f"{format_result(value)}\nwritten to {path}", as_json
-    )
+    text = f"{format_result(result)}\nwritten to {path}"
+    options.print_result(result.to_dict(), lambda _: text, as_json)
     if faults is None and (loss := _describe_loss(deployed, result)):
         options.say(f"check: {loss}")
 
 
 def _check_own_samples(bundle, path, check):
     """Run the check on the bundle's samples; say if the network was fitted to some of them."""
-    from deploy.files import write_json
+    from deploy.check.results import write_result
 
     result = check.run(bundle, path)
     if number := _count_samples_of_fit(bundle.spec):
@@ -144,8 +142,8 @@ def _check_own_samples(bundle, path, check):
             f"{WARNING}{bundle.path}: was fitted to {number} of the {len(bundle.checks)} samples "
             "of its check; its accuracy on them says little about others"
         )
-        result["trained_on"] = number
-        write_json(path, result)
+        result = replace(result, trained_on=number)
+        write_result(path, result)
     return result
 
 
@@ -168,13 +166,14 @@ def _count_samples_of_fit(spec):
 
 def _describe_loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its predictions exist."""
-    from deploy.check.results import describe_loss, read_result
+    from deploy.check.comparison import describe_loss
+    from deploy.check.results import read_result
     from pipeline.kinds.registry import list_compared_stages
 
     for stage in list_compared_stages():
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(find_checks_folder(bundle.path) / f"{stage}.json")
-            if reference["bundle"] == bundle.id:
+            if reference.bundle_id == bundle.id:
                 return describe_loss(reference, result)
     return None
 
@@ -185,7 +184,7 @@ def _check_with_faults(bundle, counts, jobs, path, check):
 
     recordings, image = check_with_faults.read_check_recordings(bundle, jobs, options.say)
     presented = check_with_faults.add_faults_to_check(bundle, recordings, counts, image)
-    return check_with_faults.add_note(check.run(presented, path), path, counts)
+    return check_with_faults.add_fault_note(check.run(presented, path), path, counts)
 
 
 def compare_checks(
@@ -201,7 +200,8 @@ def compare_checks(
     as_json: options.Json = False,
 ):
     """Compare two results: agreement, McNemar's test, the first samples that differ."""
-    from deploy.check.results import compare_results, enforce_limits, read_result
+    from deploy.check.comparison import compare_results, enforce_limits
+    from deploy.check.results import read_result
     from deploy.check.text import format_comparison
 
     comparison = compare_results(read_result(a), read_result(b))

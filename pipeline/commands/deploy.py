@@ -91,7 +91,7 @@ def energy(
         files = [find_checks_folder(opened.path) / f"{target}.json" for target in exact]
         paths = [path for path in files if path.exists()] or files[-1:]
         results = [read_result(path, remedy) for path in paths]
-    counted = next((each for each in results if each["bundle"] == opened.id), None)
+    counted = next((each for each in results if each.bundle_id == opened.id), None)
     if counted is None:
         raise UserError(f"{paths[-1]}: belongs to another bundle than {bundle}; {remedy}")
     value = estimate_energy(opened.spec, counted)

@@ -65,7 +65,7 @@ def check_on_others(
 
     Returns
     -------
-    result : dict
+    result : CheckResult
     path : Path
         The file of the result.
 
@@ -74,7 +74,7 @@ def check_on_others(
     UserError
         The recordings cannot be read, are of another sensor or other classes, or are too few.
     """
-    from deploy.files import write_json
+    from deploy.check.results import write_result
     from pipeline.results import check_with_faults, other_recordings
 
     assert others.data is not None, "the bundle's own samples are no other recordings"
@@ -94,6 +94,6 @@ def check_on_others(
     result = check.run(presented, path)
     result = other_recordings.add_accuracies(result, bundle, recordings, indices)
     if faults is not None:
-        return check_with_faults.add_note(result, path, faults), path
-    write_json(path, result)
+        return check_with_faults.add_fault_note(result, path, faults), path
+    write_result(path, result)
     return result, path

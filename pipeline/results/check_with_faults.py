@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from deploy.check.bundle import Bundle
+from deploy.check.results import CheckResult, write_result
 from deploy.errors import UserError
-from deploy.files import write_json
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.recordings.faulty_taxels import CHECK_PERIOD_MS, FaultCounts, add_faults
 from pipeline.recordings.recordings import Recordings
@@ -109,9 +109,9 @@ def find_fault_path(path: Path, counts: FaultCounts) -> Path:
     return path.with_name(f"{path.stem}-{counts}.json")
 
 
-def add_note(result: dict, path: Path, counts: FaultCounts) -> dict:
-    """Write the result with an entry ``fault``: the numbers of faulty taxels."""
+def add_fault_note(result: CheckResult, path: Path, counts: FaultCounts) -> CheckResult:
+    """Write the result with the numbers of faulty taxels."""
     note = {"hot": counts.hot, "dead": counts.dead, "hot_period_ms": CHECK_PERIOD_MS}
-    result = {**result, "fault": note}
-    write_json(path, result)
+    result = replace(result, fault=note)
+    write_result(path, result)
     return result

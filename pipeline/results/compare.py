@@ -109,7 +109,7 @@ def _read_run(path):
     bundle = read_bundle(folder.bundle)
     files = {stage: folder.find_check_file(stage) for stage in list_all_stages()}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
-    results = {stage: result for stage, result in every.items() if result["bundle"] == bundle.id}
+    results = {stage: result for stage, result in every.items() if result.bundle_id == bundle.id}
     stale = [stage for stage in every if stage not in results]
     if not results:
         old = " of its bundle, only of an earlier one" if stale else ""
@@ -197,12 +197,13 @@ def compute_inference(run: ComparedRun) -> dict:
     stages_with_counts = (
         stage
         for stage in rank_targets_by_spikes()
-        if run.results.get(stage, {}).get("synaptic_operations")
+        if stage in run.results and run.results[stage].synaptic_operations
     )
     stage = next(stages_with_counts, None)
-    result = run.results.get(stage, {})
-    counted = result.get("synaptic_operations", {})
-    operations = sum(counted.values()) / result["n_samples"] if stage else None
+    result = None if stage is None else run.results[stage]
+    operations = None
+    if result is not None:
+        operations = sum(result.synaptic_operations.values()) / result.n_samples
     rows, columns, _ = spec.input_shape
     of_digits = is_st_mnist_sensor(rows, columns, read_classes(spec))
     per_mac = operations / CNN_MACS if operations is not None and of_digits else None
@@ -226,13 +227,13 @@ def compute_inference(run: ComparedRun) -> dict:
 
 def _describe_early_decisions(result):
     """Time and accuracy of early decisions; None if the network decides at the end."""
-    early = result.get("while_written", {}).get("by_itself")
-    if not early or early["confidence"] >= 1:
+    early = None if result is None else result.early_decisions
+    if early is None:
         return None
     return {
-        "share": early["share_of_writing_mean"],
-        "accuracy": early["accuracy"],
-        "accuracy_ci95": early["accuracy_ci95"],
+        "share": early.share_of_writing_mean,
+        "accuracy": early.accuracy,
+        "accuracy_ci95": early.accuracy_ci95,
     }
 
 
@@ -249,11 +250,11 @@ def _select_accuracy(result):
     """The accuracy of a check result with its interval; None without a result."""
     if result is None:
         return None
-    return {name: result[name] for name in ("n_samples", "accuracy", "accuracy_ci95")}
-
-
-def _count_right(result):
-    return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
+    return {
+        "n_samples": result.n_samples,
+        "accuracy": result.accuracy,
+        "accuracy_ci95": result.accuracy_ci95,
+    }
 
 
 def compare_accuracies(a: ComparedRun, b: ComparedRun, stage: str) -> dict | None:
@@ -277,13 +278,13 @@ def compare_accuracies(a: ComparedRun, b: ComparedRun, stage: str) -> dict | Non
     sources = [run.spec.provenance.source_sha256 for run in (a, b)]
     same_source = None in sources or sources[0] == sources[1]
     paired = same_source and _map_labels(first) == _map_labels(second)
-    value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
+    value = {"difference": second.accuracy - first.accuracy, "paired": paired}
     if not paired:
         counts = (
-            _count_right(first),
-            first["n_samples"],
-            _count_right(second),
-            second["n_samples"],
+            first.n_right,
+            first.n_samples,
+            second.n_right,
+            second.n_samples,
         )
         return {**value, "only_a": None, "only_b": None, "p": compute_fisher_p(*counts)}
     right_a = _map_right(first)
@@ -298,12 +299,12 @@ def compare_accuracies(a: ComparedRun, b: ComparedRun, stage: str) -> dict | Non
 
 
 def _map_labels(result) -> dict:
-    return {sample["id"]: sample["label"] for sample in result["samples"]}
+    return {sample.id: sample.label for sample in result.samples}
 
 
 def _map_right(result) -> dict:
     """Whether the prediction of each sample is right."""
-    return {sample["id"]: sample["prediction"] == sample["label"] for sample in result["samples"]}
+    return {sample.id: sample.is_right for sample in result.samples}
 
 
 def format_runs(compared: dict) -> str:

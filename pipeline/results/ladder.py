@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.check.bundle import Bundle
-from deploy.check.results import compare_results, read_result
+from deploy.check.comparison import compare_results
+from deploy.check.results import CheckResult, EarlyDecisions, read_result
 from deploy.check.text import describe_absent_classes
 from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, align_rows, format_p, mark_significance
@@ -83,7 +84,7 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> LadderResul
 def read_board_results(run: RunFolder, bundle_id: str) -> list:
     """The existing check results of a bundle on boards."""
     files = [file for file in map(run.find_check_file, list_boards()) if file.exists()]
-    return [result for result in map(read_result, files) if result["bundle"] == bundle_id]
+    return [result for result in map(read_result, files) if result.bundle_id == bundle_id]
 
 
 def compare_layers(opened: OpenedRun, bundle: Bundle) -> list | None:
@@ -103,7 +104,7 @@ def require_complete(ladder: LadderResult):
 def find_ladder_artifact(run: RunFolder, results) -> Artifact:
     """The loss ladder as an artifact, which is made from check results."""
     contents = {
-        f"checks/{result['target']}": _hash_of([result["bundle"], result["samples"]])
+        f"checks/{result.target}": _hash_of([result.bundle_id, result["samples"]])
         for result in results
     }
     return Artifact("ladder", run.ladder, Origin(contents=contents))
@@ -120,8 +121,8 @@ def make_rows(results) -> list:
 
     Parameters
     ----------
-    results : sequence of dict
-        Check results of the same bundle, in the order of the stages.
+    results : sequence of CheckResult
+        Results of the same bundle, in the order of the stages.
 
     Returns
     -------
@@ -135,11 +136,11 @@ def make_rows(results) -> list:
     rows = []
     for above, result in itertools.pairwise([None, *results]):
         row = LadderRow(
-            stage=result["target"],
-            accuracy=result["accuracy"],
-            accuracy_ci95=tuple(result["accuracy_ci95"]),
+            stage=result.target,
+            accuracy=result.accuracy,
+            accuracy_ci95=(*result.accuracy_ci95,),
         )
-        if above is not None and above["target"] != "counts":
+        if above is not None and above.target != "counts":
             compared = compare_results(above, result)
             row = replace(
                 row,
@@ -151,12 +152,12 @@ def make_rows(results) -> list:
     return rows
 
 
-def select_deployed_result(results) -> dict:
+def select_deployed_result(results) -> CheckResult:
     """The result of the deployed network on the target that is nearest to the chip.
 
     Parameters
     ----------
-    results : sequence of dict
+    results : sequence of CheckResult
         As in :func:`make_rows`.
     """
     return results[-1]
@@ -184,7 +185,7 @@ def make_ladder(results, layers=None, classes=None, remedy: str = "") -> LadderR
 
     Parameters
     ----------
-    results : sequence of dict
+    results : sequence of CheckResult
         As in :func:`make_rows`.
     layers : list of dict, optional
         From :func:`pipeline.kinds.diagnosis.compare_rates`.
@@ -195,22 +196,22 @@ def make_ladder(results, layers=None, classes=None, remedy: str = "") -> LadderR
     """
     first = results[0]
     if classes is None:
-        classes = map(str, range(len(first["samples"][0]["scores"])))
+        classes = map(str, range(len(first.samples[0].scores)))
     classes = list(classes)
-    by_stage = {result["target"]: result for result in results}
+    by_stage = {result.target: result for result in results}
     reference = by_stage[find_compared_stage(by_stage)]
     deployed = select_deployed_result(results)
     return LadderResult(
-        bundle=first["bundle"],
-        simulated=first["simulated"],
-        n_samples=first["n_samples"],
+        bundle=first.bundle_id,
+        simulated=first.simulated,
+        n_samples=first.n_samples,
         classes=classes,
         classes_without_samples=_find_classes_without_samples(classes, first),
         rows=make_rows(results),
         last_against_trained_p=_test_against_trained(results),
         against_reference=_compare_with_deployed(reference, deployed),
         against_counts=_compare_with_deployed(by_stage.get("counts"), deployed),
-        while_written=deployed.get("while_written"),
+        while_written=deployed.while_written,
         remedy=remedy,
         layers=layers,
         least_faithful_layer=find_least_faithful(layers) if layers else None,
@@ -218,14 +219,14 @@ def make_ladder(results, layers=None, classes=None, remedy: str = "") -> LadderR
 
 
 def _find_classes_without_samples(classes, result):
-    presented = {sample["label"] for sample in result["samples"]}
+    presented = {sample.label for sample in result.samples}
     return [name for label, name in enumerate(classes) if label not in presented]
 
 
 def _test_against_trained(results):
     """The p-value of the deployed network against the trained one; None without a trained one."""
     for result in results:
-        if result["target"] in list_trained_stages():
+        if result.target in list_trained_stages():
             return compare_results(result, select_deployed_result(results)).p_value
     return None
 
@@ -238,24 +239,21 @@ def _compare_with_deployed(other, deployed):
     return AccuracyChange(0.0 - compared.accuracy_drop, compared.p_value)
 
 
-def describe_early_decisions(value: dict, row: LadderRow) -> str:
+def describe_early_decisions(early: EarlyDecisions, row: LadderRow) -> str:
     """Accuracy and time of early decisions, in one line.
 
     Parameters
     ----------
-    value : dict
-        ``while_written`` of a result.
+    early : EarlyDecisions
     row : LadderRow
-        The row of that result.
+        The row of the result that they are from.
     """
-    early = value["by_itself"]
-    if early["confidence"] >= 1:
+    if early.confidence >= 1:
         return f"{row.stage}: decides at the end of each recording, not earlier"
     return (
-        f"{row.stage}: early decision at a confidence of {early['confidence']:.4f}, after "
-        f"{early['share_of_writing_mean']:.0%} of the recording on average: "
-        f"accuracy {early['accuracy']:.3f}, "
-        + format_points(100 * (early["accuracy"] - row.accuracy))
+        f"{row.stage}: early decision at a confidence of {early.confidence:.4f}, after "
+        f"{early.share_of_writing_mean:.0%} of the recording on average: "
+        f"accuracy {early.accuracy:.3f}, " + format_points(100 * (early.accuracy - row.accuracy))
     )
 
 
@@ -330,8 +328,8 @@ def _describe_notes(ladder):
     for stage in (row.stage for row in rows):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
-    if ladder.while_written:
-        lines.append(describe_early_decisions(ladder.while_written, rows[-1]))
+    if ladder.while_written and ladder.while_written.early:
+        lines.append(describe_early_decisions(ladder.while_written.early, rows[-1]))
     if ladder.classes_without_samples:
         lines.append(describe_absent_classes(ladder.classes_without_samples))
     return lines

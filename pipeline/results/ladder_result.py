@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from deploy.loading import load_dataclass
+from deploy.check.results import WhileWritten
+from deploy.loading import dump_dataclass, load_dataclass
 
 SCHEMA = "stmnist-ladder/1"
 
@@ -75,8 +76,8 @@ class LadderResult:
     against_reference, against_counts : AccuracyChange or None
         The deployed network against the reference stage and against ``counts``; None if there is no
         such stage, or if it is the deployed network itself.
-    while_written : dict or None
-        Accuracy during the recordings; see :func:`deploy.check.results.make_result`.
+    while_written : WhileWritten or None
+        Accuracy during the recordings.
     remedy : str
         What to try if the network is less accurate than ``counts``.
     layers : list of dict or None
@@ -95,7 +96,7 @@ class LadderResult:
     last_against_trained_p: float | None = 0.0
     against_reference: AccuracyChange | None
     against_counts: AccuracyChange | None
-    while_written: dict | None = None
+    while_written: WhileWritten | None = None
     remedy: str = ""
     layers: list[dict] | None
     least_faithful_layer: str | None
@@ -104,6 +105,8 @@ class LadderResult:
     def to_dict(self) -> dict:
         """The ladder as plain values, for JSON."""
         values = {"schema": SCHEMA, **asdict(self), "rows": [row.to_dict() for row in self.rows]}
+        if self.while_written is not None:
+            values["while_written"] = dump_dataclass(self.while_written)
         made_from = values.pop("made_from")
         return values if made_from is None else {"made_from": made_from, **values}
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import compute_wilson_interval
+from deploy.check.results import CheckResult, PresentedRecordings, SubsetAccuracy
 from deploy.errors import UserError
 from deploy.network.decision import compute_probabilities
 from deploy.network.provenance import read_classes, read_training_hashes
@@ -359,18 +360,13 @@ def replace_check_samples(
 
 
 def add_accuracies(
-    result: dict, bundle: Bundle, recordings: Recordings, chosen: np.ndarray
-) -> dict:
-    """A check result with further entries for other recordings than the bundle's.
-
-    ``data`` identifies the recordings, and has the number of samples that were used to make the
-    network.  ``classes``, ``confusion`` (rows: labels, columns:
-    predictions), ``per_class`` and, if the writers are known, ``per_writer`` have the accuracies.
+    result: CheckResult, bundle: Bundle, recordings: Recordings, chosen: np.ndarray
+) -> CheckResult:
+    """A check result with the accuracies of the classes and writers of other recordings.
 
     Parameters
     ----------
-    result : dict
-        See :func:`deploy.check.results.make_result`.
+    result : CheckResult
     bundle : Bundle
     recordings : Recordings
     chosen : ndarray of int
@@ -378,40 +374,46 @@ def add_accuracies(
     """
     classes = recordings.sensor.classes
     source = recordings.source
-    labels = np.array([sample["label"] for sample in result["samples"]])
-    predictions = np.array([sample["prediction"] for sample in result["samples"]])
-    writers = recordings.writers[chosen]
-    per_writer = {}
-    if (writers >= 0).all():
-        per_writer["per_writer"] = [
-            {"writer": int(writer), **_measure_accuracy(labels == predictions, writers == writer)}
-            for writer in np.unique(writers)
-        ]
-    return {
-        **result,
-        "simulated": source.simulated,
-        "data": {
-            "source": source.name,
-            "sha256": source.sha256,
-            "recordings": len(recordings),
-            "trained_on": int(find_trained_on(bundle, recordings)[chosen].sum()),
-            "warnings": list(_describe_limits(bundle.spec, recordings)),
-        },
-        "classes": list(classes),
-        "confusion": count_confusions(labels, predictions, len(classes)).tolist(),
-        "per_class": [
-            {"class": name, **_measure_accuracy(labels == predictions, labels == index)}
+    labels = np.array([sample.label for sample in result.samples])
+    predictions = np.array([sample.prediction for sample in result.samples])
+    right = labels == predictions
+    return replace(
+        result,
+        simulated=source.simulated,
+        data=PresentedRecordings(
+            source=source.name,
+            sha256=source.sha256,
+            recordings=len(recordings),
+            trained_on=int(find_trained_on(bundle, recordings)[chosen].sum()),
+            warnings=list(_describe_limits(bundle.spec, recordings)),
+        ),
+        classes=list(classes),
+        confusion=count_confusions(labels, predictions, len(classes)).tolist(),
+        per_class=[
+            _measure_accuracy(right[labels == index], class_name=name)
             for index, name in enumerate(classes)
             if (labels == index).any()
         ],
-        **per_writer,
-    }
+        per_writer=_measure_accuracy_of_writers(right, recordings.writers[chosen]),
+    )
 
 
-def _measure_accuracy(right, chosen):
-    count = int(right[chosen].sum())
-    n = int(chosen.sum())
-    return {"n": n, "accuracy": count / n, "accuracy_ci95": list(compute_wilson_interval(count, n))}
+def _measure_accuracy_of_writers(right, writers):
+    """The accuracy of each writer; None if a writer is unknown."""
+    if not (writers >= 0).all():
+        return None
+    return [
+        _measure_accuracy(right[writers == writer], writer=int(writer))
+        for writer in np.unique(writers)
+    ]
+
+
+def _measure_accuracy(right, class_name=None, writer=None) -> SubsetAccuracy:
+    """The accuracy of some samples, given which predictions are right."""
+    n = len(right)
+    n_right = int(right.sum())
+    interval = list(compute_wilson_interval(n_right, n))
+    return SubsetAccuracy(n, n_right / n, interval, class_name, writer)
 
 
 def find_result_path(bundle: Bundle, recordings: Recordings, n_samples: int, target: str) -> Path:

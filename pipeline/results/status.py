@@ -298,7 +298,7 @@ def _list_states_of_results(run, kind, dataset, bundle):
         results[stage] = result = read_result(artifact.record, DELETE_IT)
         no_bundle = State(artifact.name, OUTDATED, (Change("there is no bundle"),))
         state = _mark_as_outdated(artifact.find_state(), bundle) if there else no_bundle
-        statuses.append(Status(state, result["accuracy"], result["wall_seconds"]))
+        statuses.append(Status(state, result.accuracy, result.wall_seconds))
     return [*statuses, *_find_state_of_ladder(run, results, statuses)]
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import json
 import time
+from dataclasses import replace
 from functools import partial
 
 from deploy.check.bundle import Bundle
-from deploy.check.results import make_result, read_result
+from deploy.check.results import CheckResult, read_result, write_result
 from deploy.check.run import list_sample_records, open_check, run_streams
+from deploy.check.summary import make_result
 from deploy.errors import UserError
-from deploy.files import write_json
 from deploy.targets.registry import TARGETS
 from pipeline.jobs import Failure, run_jobs
 from pipeline.kinds.kind import NetworkKind
@@ -34,7 +35,7 @@ def convert_and_check(opened: OpenedRun) -> Bundle:
     return bundle
 
 
-def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
+def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> CheckResult:
     """The check result of a reference stage or target, made unless it is current.
 
     Parameters
@@ -55,20 +56,17 @@ def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
     if stage in TARGETS:
         return TargetCheck(stage, opened.settings.seed).run(bundle, path)
     result = _check_reference(opened, bundle, stage)
-    write_json(path, result)
+    write_result(path, result)
     return result
 
 
-def _check_reference(opened, bundle, stage) -> dict:
+def _check_reference(opened, bundle, stage) -> CheckResult:
     """The check result of a reference stage, whose network is trained if it is missing."""
     reference = opened.kind.references[stage]
-    extra = {"versions": reference.list_versions()}
     is_deployed = opened.kind.is_deployed(reference.step)
     if not is_deployed:
         opened.make(reference.step)
     origin = opened.find_artifact(reference.step).origin
-    if not is_deployed:
-        extra["network"] = origin.key
     settings = bundle.spec.provenance.settings
     inputs = opened.make_step_inputs(settings.keys() | origin.settings.keys())
     begun = time.perf_counter()
@@ -76,7 +74,9 @@ def _check_reference(opened, bundle, stage) -> dict:
         responses = reference.respond_to(stage, inputs, bundle, advance)
     seconds = time.perf_counter() - begun
     samples = list_sample_records(bundle.checks, responses)
-    return make_result(bundle, stage, opened.settings.seed, samples, seconds, extra)
+    versions = reference.list_versions()
+    result = make_result(bundle, stage, opened.settings.seed, samples, seconds, versions)
+    return result if is_deployed else replace(result, network=origin.key)
 
 
 def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> list:
@@ -94,7 +94,7 @@ def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> li
 
     Returns
     -------
-    list of dict
+    list of CheckResult
         The results in the order of ``stages``.
 
     Raises

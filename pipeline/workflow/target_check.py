@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
+    from deploy.check.results import CheckResult
     from deploy.targets.options import Options
 
 
@@ -28,7 +29,7 @@ class TargetCheck:
     seed: int
     options: Options | None = None
 
-    def run(self, bundle: Bundle, path: Path) -> dict:
+    def run(self, bundle: Bundle, path: Path) -> CheckResult:
         """Run the target on a bundle's samples, with a progress bar; write the result."""
         from deploy.check.run import run_check
         from pipeline.progress import progress

@@ -8,9 +8,10 @@ import sys
 import numpy as np
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import make_result
+from deploy.check.results import write_result
 from deploy.check.run import list_sample_records
-from deploy.files import read_arrays, write_json
+from deploy.check.summary import make_result
+from deploy.files import read_arrays
 from deploy.network.responses import compute_responses
 
 REMEDY = "run 'make check-nir' again"
@@ -44,7 +45,7 @@ def main(bundle, given, answered, out):
     reader = read_arrays(answered, REMEDY)
     responses = responses_of(opened.spec, read_arrays(given, REMEDY), reader)
     samples = list_sample_records(opened.checks, responses)
-    write_json(out, make_result(opened, "norse", 0, samples, float(reader["seconds"])))
+    write_result(out, make_result(opened, "norse", 0, samples, float(reader["seconds"])))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Read the artifacts of a run for its report."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from deploy.check.bundle import read_bundle
@@ -44,11 +45,11 @@ def gather_report_data(folder: RunFolder) -> ReportData:
     stages = [stage for stage in list_stages(kind) if folder.find_check_file(stage).exists()]
     results = [read_result(folder.find_check_file(stage)) for stage in stages]
     for stage, result in zip(stages, results, strict=True):
-        if result["target"] != stage or not {*result["spikes"]} <= {*bundle.spec.spiking_layers}:
+        if result.target != stage or not {*result.spikes} <= {*bundle.spec.spiking_layers}:
             raise UserError(
                 f"{folder.find_check_file(stage)}: is of another target or network; {REMEDY}"
             )
-    results = [result for result in results if result["bundle"] == bundle.id]
+    results = [result for result in results if result.bundle_id == bundle.id]
     if not results:
         raise UserError(
             f"{folder.path / 'checks'}: no check result of the present bundle; "
@@ -94,14 +95,18 @@ def _read_others(folder, bundle):
     """Results of the bundle on other recordings; see :mod:`pipeline.results.other_recordings`."""
     files = sorted(Path(folder.path / "checks" / OTHERS).glob("*.json"))
     results = [read_result(path, REMEDY) for path in files]
-    own = [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]
-    return [{**each, "data": {**each["data"], "title": _title_source(each, own)}} for each in own]
+    own = [
+        result
+        for result in results
+        if result.bundle_id == bundle.id and result.per_class is not None and result.data
+    ]
+    return [
+        replace(each, data=replace(each.data, source=_title_source(each, own))) for each in own
+    ]
 
 
 def _title_source(result, results):
     """The name of a result's recordings, with the begin of their hash if others have this name."""
-    data = result["data"]
-    hashes = {
-        each["data"]["sha256"] for each in results if each["data"]["source"] == data["source"]
-    }
-    return data["source"] if len(hashes) == 1 else f"{data['source']} ({data['sha256'][:6]})"
+    data = result.data
+    hashes = {each.data.sha256 for each in results if each.data.source == data.source}
+    return data.source if len(hashes) == 1 else f"{data.source} ({data.sha256[:6]})"

@@ -10,9 +10,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
+from deploy.check.comparison import compare_results
 from deploy.check.energy import MAC_JOULES, estimate_energy, format_joules
 from deploy.check.intervals import compute_wilson_interval
-from deploy.check.results import compare_results
+from deploy.check.results import CheckResult
 from deploy.network.provenance import read_positions
 from deploy.network.responses import compute_seconds_per_sample
 from deploy.tables import SIGNIFICANCE, format_count, format_p, list_names
@@ -41,8 +42,8 @@ class ReportData:
         The run's folder.
     settings : Settings
     bundle : Bundle
-    results : list of dict
-        Check results of the bundle, in the order of the ladder.
+    results : list of CheckResult
+        Results of the bundle, in the order of the ladder.
     metrics : dict of str to dict
         ``accuracy`` on ``n_test`` test samples of the trained networks, by title.
     histories : dict of str to list of dict
@@ -53,8 +54,8 @@ class ReportData:
         Spikes and probabilities of some samples, by their index in the check.
     outdated : dict of str to str
         Outdated artifacts, with the reasons.
-    others : list of dict
-        Check results of the bundle on other recordings.
+    others : list of CheckResult
+        Results of the bundle on other recordings.
     """
 
     name: str
@@ -69,7 +70,7 @@ class ReportData:
     others: list = field(default_factory=list)
 
     @property
-    def deployed_result(self) -> dict:
+    def deployed_result(self) -> CheckResult:
         """The check result of the deployed network, which the report is about."""
         return select_deployed_result(self.results)
 
@@ -107,7 +108,7 @@ def render_report(inputs: ReportData, now: datetime.datetime | None = None) -> s
     spec = inputs.bundle.spec
     result = inputs.deployed_result
     provenance = spec.provenance
-    estimate = estimate_energy(spec, result) if result["spikes"] else None
+    estimate = estimate_energy(spec, result) if result.spikes else None
     layers = make_layer_table(inputs.bundle, inputs.plan, result, estimate)
     groups = _group_samples(inputs)
     return environment.get_template("report.html.j2").render(
@@ -140,7 +141,7 @@ def render_report(inputs: ReportData, now: datetime.datetime | None = None) -> s
 def _list_warnings(provenance, result):
     """What is wrong with the recordings, and the classes that the check has no samples of."""
     lines = list(provenance.warnings)
-    if absent := result.get("classes_without_samples"):
+    if absent := result.classes_without_samples:
         names = list_names(absent)
         lines.append(f"classes without samples: {names}; no accuracy on this page covers them")
     return lines
@@ -164,8 +165,8 @@ def make_verdict(results: list, bundle: Bundle) -> dict:
 
     Parameters
     ----------
-    results : list of dict
-        Check results of the bundle, in the order of the ladder.
+    results : list of CheckResult
+        Results of the bundle, in the order of the ladder.
     bundle : Bundle
 
     Returns
@@ -177,7 +178,7 @@ def make_verdict(results: list, bundle: Bundle) -> dict:
         spikes, or None without counts.
     """
     deployed = select_deployed_result(results)
-    by_stage = {result["target"]: result for result in results[:-1]}
+    by_stage = {result.target: result for result in results[:-1]}
     references = [name for name in list_compared_stages() if name in by_stage][:1]
     references += [name for name in ("counts",) if name in by_stage]
     against = []
@@ -186,16 +187,16 @@ def make_verdict(results: list, bundle: Bundle) -> dict:
         against.append(
             {
                 "title": find_title(name),
-                "accuracy": by_stage[name]["accuracy"],
+                "accuracy": by_stage[name].accuracy,
                 "change": -compared.accuracy_drop,
                 "p": compared.p_value,
                 "significant": compared.p_value < SIGNIFICANCE,
             }
         )
-    operations = sum(deployed["synaptic_operations"].values()) / deployed["n_samples"]
+    operations = sum(deployed.synaptic_operations.values()) / deployed.n_samples
     products = sum(bundle.spec.multiply_accumulates.values())
     return {
-        "title": find_title(deployed["target"]),
+        "title": find_title(deployed.target),
         "against": against,
         "operations": operations or None,
         "ratio": operations / products if operations else None,
@@ -223,7 +224,7 @@ def make_class_table(inputs: ReportData) -> list:
     ]
 
 
-def make_layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
+def make_layer_table(bundle: Bundle, plan: dict, result: CheckResult, estimate=None) -> list:
     """Each layer: operation, output shape, weights, neurons, place, activity per sample.
 
     ``rate`` is in spikes per second and neuron, ``microjoules`` an estimate for the chip;
@@ -232,18 +233,19 @@ def make_layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) ->
     Parameters
     ----------
     bundle : Bundle
-    plan, result : dict
+    plan : dict
+    result : CheckResult
     estimate : deploy.check.energy.EnergyEstimate, optional
     """
     spec = bundle.spec
-    n = result["n_samples"]
+    n = result.n_samples
     cores = [core["layer"] for core in plan["cores"]]
     energy = {layer.layer: layer.chip_joules for layer in estimate.layers} if estimate else {}
     seconds = compute_seconds_per_sample(spec)
 
     def make_row(name, operation, shape, weights, neurons):
-        spikes = result["spikes"].get(name)
-        operations = result["synaptic_operations"].get(name)
+        spikes = result.spikes.get(name)
+        operations = result.synaptic_operations.get(name)
         used = cores.count(name)
         return {
             "name": name,
@@ -284,13 +286,13 @@ def _make_ladder(results):
         }
         for row in rows
     ]
-    return {"rows": drawn, "least": float(lowest), "n": results[0]["n_samples"]}
+    return {"rows": drawn, "least": float(lowest), "n": results[0].n_samples}
 
 
 def _draw_over_time(inputs):
     """Accuracy over the recording (events), or over the steps of the presentation (images)."""
     result = inputs.deployed_result
-    n_samples = result["n_samples"]
+    n_samples = result.n_samples
     times, accuracies, label = _measure_accuracy_by_time(result, inputs.bundle.spec)
     if len(accuracies) < 2:
         return None
@@ -298,16 +300,16 @@ def _draw_over_time(inputs):
         compute_wilson_interval(round(n_samples * share), n_samples) for share in accuracies
     )
     series = charts.Series(
-        find_title(result["target"]),
+        find_title(result.target),
         tuple(times),
         tuple(100 * share for share in accuracies),
         tuple((100 * low, 100 * high) for low, high in intervals),
     )
-    early = _find_early_decision(result)
-    points = [(times[-1], 100 * result["accuracy"], "end")]
+    early = result.early_decisions
+    points = [(times[-1], 100 * result.accuracy, "end")]
     if early:
-        points.append((100 * early["share_of_writing_mean"], 100 * early["accuracy"], "early"))
-    counts = [row["accuracy"] for row in inputs.results if row["target"] == "counts"]
+        points.append((100 * early.share_of_writing_mean, 100 * early.accuracy, "early"))
+    counts = [each.accuracy for each in inputs.results if each.target == "counts"]
     levels = [(100 * accuracy, "logistic regression") for accuracy in counts]
     middle = times[-1] / 2
     return {
@@ -325,34 +327,28 @@ def _draw_over_time(inputs):
         "half": accuracies[int(np.searchsorted(times, middle))] if times[0] <= middle else None,
         "name": series.name,
         "early": early,
-        "on_events": bool(result.get("while_written")),
+        "on_events": result.while_written is not None,
     }
 
 
 def _measure_accuracy_by_time(result, spec):
     """Times, the accuracy at each, and what the times are."""
-    written = result.get("while_written")
+    written = result.while_written
     if written:
-        shares = [100 * share for share in written["shares"]]
-        return shares, written["accuracy"], "share of the recording, %"
+        shares = [100 * share for share in written.shares]
+        return shares, written.accuracy, "share of the recording, %"
     start = spec.presentation.readout_start
-    accuracies = result["anytime_accuracy"][start:]
+    accuracies = result.anytime_accuracy[start:]
     step_ms = 1000 * spec.stimulus.step_seconds
     times = [step_ms * step for step in range(start + 1, start + 1 + len(accuracies))]
     return times, accuracies, "milliseconds of the presentation"
 
 
-def _find_early_decision(result):
-    """The record of early decisions; None if the network makes none."""
-    early = (result.get("while_written") or {}).get("by_itself")
-    return early if early and early["confidence"] < 1 else None
-
-
 def _list_predictions(inputs) -> tuple:
     """The label and the prediction of each sample."""
-    samples = inputs.deployed_result["samples"]
-    labels = [sample["label"] for sample in samples]
-    return labels, [sample["prediction"] for sample in samples]
+    samples = inputs.deployed_result.samples
+    labels = [sample.label for sample in samples]
+    return labels, [sample.prediction for sample in samples]
 
 
 def _count_confusions(inputs):
@@ -448,7 +444,7 @@ def _make_stories(inputs, groups):
         pictures.update({sample["index"]: sample["picture"] for sample in group["samples"]})
     stories = []
     for index, replay in inputs.replays.items():
-        sample = inputs.deployed_result["samples"][index]
+        sample = inputs.deployed_result.samples[index]
         story = _make_story(inputs.bundle.spec, inputs.classes, sample, replay)
         stories.append({"index": index, "picture": pictures[index], **story})
     return stories
@@ -461,8 +457,8 @@ def _make_story(spec, classes, sample, replay):
     decided_ms = at_ms[replay.decided]
     probability = replay.probabilities[replay.decided, replay.prediction]
     is_early = replay.decided < len(at_ms) - 1
-    label = sample["label"]
-    prediction = sample["prediction"]
+    label = sample.label
+    prediction = sample.prediction
     drawn = choose_drawn_steps(len(at_ms))
     threshold = spec.presentation.threshold_or_1
     quantity = "probability of the classes" if spec.estimator else "softmax of the outputs"
@@ -480,7 +476,7 @@ def _make_story(spec, classes, sample, replay):
     )
     layers = [_draw_spikes(layer, step_ms) for layer in replay.layers]
     return {
-        "id": sample["id"],
+        "id": sample.id,
         "right": label == prediction,
         "shown": classes[label],
         "prediction": classes[prediction],
@@ -490,7 +486,7 @@ def _make_story(spec, classes, sample, replay):
             [*layers, lines],
             spec.presentation.steps * step_ms,
             "milliseconds since the start of the presentation",
-            f"Spikes and probabilities over time, sample {sample['id']}",
+            f"Spikes and probabilities over time, sample {sample.id}",
             mark=decided_ms if is_early else None,
         ),
         "legend": charts.draw_legend(

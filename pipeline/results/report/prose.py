@@ -2,6 +2,7 @@
 
 from markupsafe import Markup, escape
 
+from deploy.check.results import CheckResult
 from deploy.tables import format_count, format_p
 from deploy.targets.registry import TARGETS
 from pipeline.kinds.registry import list_references
@@ -34,12 +35,12 @@ def find_stage_note(stage: str) -> str:
     return row.note or row.title
 
 
-def describe_verdict(verdict: dict, result: dict, plan: dict, simulated: bool) -> Markup:
+def describe_verdict(verdict: dict, result: CheckResult, plan: dict, simulated: bool) -> Markup:
     """The accuracy of the deployed network, compared with its references."""
     samples = "simulated test samples" if simulated else "test samples"
-    accuracy = format_percent(result["accuracy"])
+    accuracy = format_percent(result.accuracy)
     sentences = [
-        escape(f"{verdict['title']}: {accuracy} of {result['n_samples']:,} {samples} are right.")
+        escape(f"{verdict['title']}: {accuracy} of {result.n_samples:,} {samples} are right.")
     ]
     for other in verdict["against"]:
         difference = "no significant difference"
@@ -117,12 +118,12 @@ def describe_time(time: dict, accuracy: float) -> str:
     sentences = []
     early = time["early"]
     if early:
-        share = format_percent(early["share_of_writing_mean"])
+        share = format_percent(early.share_of_writing_mean)
         sentences.append(
             f"{time['name']} decides early when its confidence reaches "
-            f"{format_percent(early['confidence'])}: after {share} of "
-            f"the recording on average, {format_percent(early['accuracy'])} right "
-            f"({format_interval(early['accuracy_ci95'])})."
+            f"{format_percent(early.confidence)}: after {share} of "
+            f"the recording on average, {format_percent(early.accuracy)} right "
+            f"({format_interval(early.accuracy_ci95)})."
         )
     if time["half"] is not None:
         whole = "recording" if time["on_events"] else "presentation"
@@ -153,17 +154,18 @@ def describe_time_axis(time: dict, has_counts: bool) -> str:
     )
 
 
-def describe_result_on_others(result: dict) -> Markup:
+def describe_result_on_others(result: CheckResult) -> Markup:
     """The target, the interval and the warnings of a check on other recordings."""
-    text = escape(f"{result['target']}, {format_interval(result['accuracy_ci95'])}")
-    if result["simulated"]:
+    text = escape(f"{result.target}, {format_interval(result.accuracy_ci95)}")
+    if result.simulated:
         text += "; simulated recordings"
-    data = result["data"]
-    warnings = list(data.get("warnings", []))
-    if data.get("trained_on"):
+    data = result.data
+    assert data is not None
+    warnings = list(data.warnings or ())
+    if data.trained_on:
         warnings.insert(
             0,
-            f"{data['trained_on']} of these samples were used to make the network, and its "
+            f"{data.trained_on} of these samples were used to make the network, and its "
             "accuracy on them says little about others",
         )
     for line in warnings:

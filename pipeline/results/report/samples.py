@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.check.bundle import Bundle
+from deploy.check.results import CheckResult
 from deploy.network.decision import compute_confidence, compute_probabilities, decide
 from deploy.network.readout import compute_running_sums, select_readout
 from deploy.targets.emulation import Emulation
@@ -64,16 +65,16 @@ class Replay:
         return list(drawn)[:N_DRAWN_CLASSES]
 
 
-def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
+def choose_samples(result: CheckResult, wrong: int = 8, right: int = 2) -> list:
     """Indices of samples to replay: mistakes, the most frequent first, then right ones."""
-    samples = result["samples"]
-    rights = [i for i, s in enumerate(samples) if s["label"] == s["prediction"]]
-    pairs = [(s["label"], s["prediction"]) for s in samples]
+    samples = result.samples
+    rights = [i for i, s in enumerate(samples) if s.is_right]
+    pairs = [(s.label, s.prediction) for s in samples]
     mistakes = [i for i, (label, prediction) in enumerate(pairs) if label != prediction]
     often = Counter(pairs)
     mistakes = sorted(mistakes, key=lambda i: (-often[pairs[i]], pairs[i]))[:wrong]
-    first = {samples[i]["label"]: i for i in reversed(rights)}  # of each class
-    mixed = [samples[i][key] for i in mistakes for key in ("label", "prediction")]
+    first = {samples[i].label: i for i in reversed(rights)}  # of each class
+    mixed = [number for i in mistakes for number in pairs[i]]
     order = [*(first[label] for label in mixed if label in first), *sorted(first.values()), *rights]
     return mistakes + list(dict.fromkeys(order))[:right]
 

@@ -12,13 +12,12 @@ from deploy.targets.registry import run_target
 from pipeline.storage.run_folder import find_checks_folder
 from tests.command import call
 from tests.deploy.networks import bundle_at, make_paper_network
+from tests.deploy.results import make_result
 
 
 def counted(spec, samples=2, **operations):
-    return {
-        "n_samples": samples,
-        "synaptic_operations": {layer.name: 0 for layer in spec.layers} | operations,
-    }
+    counts = {layer.name: 0 for layer in spec.layers} | operations
+    return make_result([0] * samples, [0] * samples, synaptic_operations=counts)
 
 
 def test_small_network_by_hand():
@@ -67,7 +66,7 @@ def test_one_definition_of_synaptic_operations(tmp_path):
 
 def test_result_without_counts_is_refused():
     with pytest.raises(UserError, match=r"synaptic operations.*--target emulator"):
-        estimate_energy(make_image_network(), {"n_samples": 1})
+        estimate_energy(make_image_network(), make_result(synaptic_operations={}))
 
 
 def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, capsys):

@@ -4,39 +4,23 @@ import json
 
 import pytest
 
-from deploy.check.results import compare_results, describe_loss, read_result
+from deploy.check.comparison import compare_results, describe_loss
+from deploy.check.results import (
+    CheckResult,
+    EarlyDecisions,
+    SubsetAccuracy,
+    WhileWritten,
+    read_result,
+    write_result,
+)
 from deploy.errors import UserError
 from deploy.files import write_json
 from tests.command import call, missing
-
-
-def result(predictions=(0, 1, 2, 3), labels=(0, 1, 2, 3), target="nengo", **changes):
-    right = sum(a == b for a, b in zip(predictions, labels, strict=True))
-    return {
-        "schema": "stmnist-check/1",
-        "target": target,
-        "bundle": "b" * 64,
-        "seed": 0,
-        "simulated": True,
-        "steps_per_sample": 100,
-        "n_samples": len(labels),
-        "accuracy": right / len(labels),
-        "accuracy_ci95": [0.0, 1.0],
-        "samples": [
-            {"id": f"x/{i}", "label": label, "prediction": p, "scores": [0.0] * 10}
-            for i, (label, p) in enumerate(zip(labels, predictions, strict=True))
-        ],
-        "anytime_accuracy": [right / len(labels)],
-        "spikes": {"conv1": 10},
-        "synaptic_operations": {"output": 100},
-        "wall_seconds": 1.0,
-        "versions": {},
-        **changes,
-    }
+from tests.deploy.results import make_result
 
 
 def test_a_comparison_by_hand():
-    comparison = compare_results(result(), result((0, 2, 2, 1), target="emulator"))
+    comparison = compare_results(make_result(), make_result((0, 2, 2, 1), target="emulator"))
     assert comparison.targets == ("nengo", "emulator")
     assert comparison.accuracy_drop == pytest.approx(0.5)
     assert comparison.p_value == pytest.approx(0.5)  # both lost: 2 * 0.5**2
@@ -50,7 +34,7 @@ def test_a_comparison_by_hand():
 
 
 def test_two_wrong_answers_disagree_without_a_drop():
-    comparison = compare_results(result((5, 1, 2, 3)), result((6, 1, 2, 3)))
+    comparison = compare_results(make_result((5, 1, 2, 3)), make_result((6, 1, 2, 3)))
     assert len(comparison.disagreements) == 1
     assert comparison.accuracy_drop == 0
     assert comparison.p_value == 1
@@ -59,14 +43,14 @@ def test_two_wrong_answers_disagree_without_a_drop():
 @pytest.mark.parametrize(
     ("other", "fact"),
     [
-        (result(bundle="c" * 64), "b{12}.*c{12}"),
-        (result((0, 1, 2), (0, 1, 2)), "samples"),
-        (result(labels=(0, 1, 2, 4)), "samples"),
+        (make_result(bundle_id="c" * 64), "b{12}.*c{12}"),
+        (make_result((0, 1, 2), (0, 1, 2)), "samples"),
+        (make_result(labels=(0, 1, 2, 4)), "samples"),
     ],
 )
 def test_what_cannot_be_compared(other, fact):
     with pytest.raises(UserError, match=fact):
-        compare_results(result(), other)
+        compare_results(make_result(), other)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +71,7 @@ def test_what_cannot_be_compared(other, fact):
     ],
 )
 def test_a_file_that_is_no_whole_result_is_named_with_the_remedy(tmp_path, change):
-    write_json(tmp_path / "a.json", {**result(), **change})
+    write_json(tmp_path / "a.json", {**make_result().to_dict(), **change})
     with pytest.raises(UserError, match=r"a\.json: .*run the check"):
         read_result(tmp_path / "a.json")
 
@@ -95,8 +79,8 @@ def test_a_file_that_is_no_whole_result_is_named_with_the_remedy(tmp_path, chang
 @pytest.fixture
 def pair(tmp_path):
     """B differs in two samples of which it lost one."""
-    write_json(tmp_path / "a.json", result((0, 1, 2, 9)))
-    write_json(tmp_path / "b.json", result((0, 7, 2, 8), target="emulator"))
+    write_result(tmp_path / "a.json", make_result((0, 1, 2, 9)))
+    write_result(tmp_path / "b.json", make_result((0, 7, 2, 8), target="emulator"))
     return tmp_path / "a.json", tmp_path / "b.json"
 
 
@@ -131,8 +115,25 @@ def test_the_comparison_for_a_program(pair, capsys):
 
 def test_a_loss_that_is_no_chance_is_said():
     many = tuple(range(10)) * 4
-    trained = result(many, many, target="cnn")
-    assert describe_loss(trained, result(many, many, target="fast")) is None
-    assert describe_loss(trained, result((1, *many[1:]), many, target="fast")) is None
-    line = describe_loss(trained, result((0,) * 40, many, target="fast"))
+    trained = make_result(many, many, target="cnn")
+    assert describe_loss(trained, make_result(many, many, target="fast")) is None
+    assert describe_loss(trained, make_result((1, *many[1:]), many, target="fast")) is None
+    line = describe_loss(trained, make_result((0,) * 40, many, target="fast"))
     assert missing(line, "fast", "cnn", "0.100", "1.000", "McNemar") == []
+
+
+def test_a_result_is_the_same_after_its_plain_values():
+    early = EarlyDecisions(0.9, 0.75, [0.4, 0.9], share_of_writing_mean=0.8, before_the_end=0.5)
+    result = make_result(
+        while_written=WhileWritten(10.0, 50.0, [1.0], [0.75], early),
+        target_notes={"hardware": {"board": "ncl"}},
+        per_class=[SubsetAccuracy(4, 1.0, [0.5, 1.0], class_name="7")],
+    )
+    values = json.loads(json.dumps(result.to_dict()))
+    assert values["while_written"]["by_itself"]["confidence"] == 0.9
+    assert values["per_class"][0]["class"] == "7"
+    assert values["hardware"] == {"board": "ncl"}
+    assert "data" not in values
+    assert CheckResult.from_dict(values) == result
+    assert compare_results(values, result).accuracy_drop == 0
+    assert result["hardware"] == {"board": "ncl"}

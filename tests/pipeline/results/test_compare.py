@@ -3,10 +3,12 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 
 from deploy.check.intervals import compute_fisher_p, compute_wilson_interval
+from deploy.check.results import EarlyDecisions, WhileWritten
 from deploy.conformance.networks import make_event_network, make_image_network
 from deploy.errors import UserError
 from pipeline.kinds.registry import find_kind
@@ -22,25 +24,22 @@ from pipeline.results.compare import (
 )
 from pipeline.settings import Settings
 from tests.command import call, missing
+from tests.deploy.results import make_result
 
 LABELS = (0, 1, 2, 3, 4, 5, 6, 7)
 
 
 def result(stage, predictions, labels=LABELS, ids=None, operations=None, **more):
-    ids = ids or [f"x/{i}" for i in range(len(labels))]
-    right = sum(a == b for a, b in zip(predictions, labels, strict=True))
-    return {
-        "target": stage,
-        "n_samples": len(labels),
-        "accuracy": right / len(labels),
-        "accuracy_ci95": list(compute_wilson_interval(right, len(labels))),
-        "samples": [
-            {"id": name, "label": label, "prediction": prediction}
-            for name, label, prediction in zip(ids, labels, predictions, strict=True)
-        ],
-        "synaptic_operations": operations or {},
+    n_right = sum(a == b for a, b in zip(predictions, labels, strict=True))
+    return make_result(
+        predictions,
+        labels,
+        ids,
+        target=stage,
+        accuracy_ci95=list(compute_wilson_interval(n_right, len(labels))),
+        synaptic_operations=operations or {},
         **more,
-    }
+    )
 
 
 def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more):
@@ -49,7 +48,7 @@ def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more
     settings = Settings().with_values(changes or {}, "here")
     origin = find_kind(settings).make_bundle_origin(make_dataset_origin(settings, source))
     spec.provenance["made_from"] = origin.to_json()
-    return ComparedRun(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
+    return ComparedRun(name, settings, spec, cores, 1, {r.target: r for r in results}, **more)
 
 
 ALL = list(LABELS)
@@ -138,14 +137,9 @@ def test_what_an_inference_takes_by_hand(monkeypatch):
 
 
 def test_time_to_decide_of_events():
-    early = {
-        "confidence": 0.9,
-        "share_of_writing_mean": 0.82,
-        "accuracy": 0.75,
-        "accuracy_ci95": [0.4, 0.9],
-    }
-    counts = {"operations": {"conv1": 8}}
-    answer = result("fast", ALL, **counts, while_written={"by_itself": early})
+    early = EarlyDecisions(0.9, 0.75, [0.4, 0.9], share_of_writing_mean=0.82, before_the_end=0.9)
+    written = WhileWritten(10.0, 50.0, [1.0], [0.75], early)
+    answer = result("fast", ALL, operations={"conv1": 8}, while_written=written)
     changes = {"input": {"kind": "events"}}
     events = run("b", [answer], spec=make_event_network(), changes=changes)
     compared = compare_runs([run("a", [result("fast", ALL)]), events])
@@ -153,7 +147,8 @@ def test_time_to_decide_of_events():
     assert compared["runs"][1]["writing"]["share"] == 0.82
     text = format_runs(compared)
     assert missing(text, "82%", "image", "events") == []
-    early["confidence"] = 1.0  # decides at the end
+    at_end = replace(written, early=replace(early, confidence=1.0))
+    answer = replace(answer, while_written=at_end)
     assert compare_runs([run("a", [answer]), events])["runs"][1]["writing"] is None
 
 

@@ -16,24 +16,13 @@ from pipeline.results.ladder import (
     make_rows,
 )
 from tests.command import call, missing
+from tests.deploy.results import make_result
 
 LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
 
 
-def result(target, predictions, bundle="b" * 64):
-    right = sum(p == label for p, label in zip(predictions, LABELS, strict=True))
-    return {
-        "target": target,
-        "bundle": bundle,
-        "simulated": True,
-        "n_samples": 10,
-        "accuracy": right / 10,
-        "accuracy_ci95": [0.1, 0.9],
-        "samples": [
-            {"id": str(i), "label": label, "prediction": p, "scores": [0.0] * 10}
-            for i, (label, p) in enumerate(zip(LABELS, predictions, strict=True))
-        ],
-    }
+def result(target, predictions, **changes):
+    return make_result(predictions, LABELS, target=target, accuracy_ci95=[0.1, 0.9], **changes)
 
 
 CNN = result("cnn", [0, 1, 2, 3, 4, 5, 6, 7, 8, 0])  # 9 right
@@ -62,7 +51,7 @@ def test_a_loss_is_negative():
 
 def test_results_of_different_bundles_make_no_ladder():
     with pytest.raises(UserError, match=r"b{12}.*c{12}"):
-        make_rows([CNN, result("nengo", LABELS, bundle="c" * 64)])
+        make_rows([CNN, result("nengo", LABELS, bundle_id="c" * 64)])
 
 
 def layer(name, correlation):
@@ -117,14 +106,7 @@ def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
 
 def of_eighty(target, right):
     """A result with the first samples right."""
-    samples = [
-        {"id": str(i), "label": 1, "prediction": int(i < right), "scores": [0.0, 0.0]}
-        for i in range(80)
-    ]
-    return {
-        **{"target": target, "bundle": "b" * 64, "simulated": False, "samples": samples},
-        **{"n_samples": 80, "accuracy": right / 80, "accuracy_ci95": [0.0, 1.0]},
-    }
+    return make_result([1] * right + [0] * (80 - right), [1] * 80, target=target)
 
 
 def test_the_deployed_network_is_compared_with_the_simplest_classifier():

@@ -25,6 +25,7 @@ from pipeline.results.report.samples import choose_samples, replay_samples
 from pipeline.settings import format_automatic
 from pipeline.storage.run_folder import RunFolder
 from tests.command import call
+from tests.deploy.results import make_result
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
 
@@ -114,23 +115,16 @@ def test_other_recordings_of_one_name_are_told_apart(tiny_run, tmp_path):
     ):
         data = {"source": name, "sha256": sha256, "recordings": 9}
         write_json(others / f"{number}.json", {**result, "data": data, "per_class": []})
-    titles = [each["data"]["title"] for each in gather_report_data(RunFolder(copied)).others]
+    titles = [each.data.source for each in gather_report_data(RunFolder(copied)).others]
     assert titles == ["arrays (aaaaaa)", "arrays (bbbbbb)", "b"]
 
 
 def test_the_verdict_compares_the_same_samples(inputs):
     """Ten samples: eight right, and nine in the reference; one sample differs."""
-    result = inputs.deployed_result
-    samples = [
-        {**sample, "label": 0, "prediction": int(index >= 8)}
-        for index, sample in enumerate(result["samples"][:10])
-    ]
-    deployed = {
-        **result, "n_samples": 10, "accuracy": 0.8, "samples": samples,
-        "synaptic_operations": {"conv1": 1000, "output": 500},
-    }  # fmt: skip
-    better = [{**sample, "prediction": int(n >= 9)} for n, sample in enumerate(samples)]
-    reference = {**deployed, "target": "rate-lif", "accuracy": 0.9, "samples": better}
+    predictions = [0] * 8 + [1, 1]
+    counts = {"conv1": 1000, "output": 500}
+    deployed = make_result(predictions, [0] * 10, target="emulator", synaptic_operations=counts)
+    reference = make_result([0] * 9 + [1], [0] * 10, target="rate-lif")
     found = report.make_verdict([reference, deployed], inputs.bundle)
     assert found["operations"] == 150
     (against,) = found["against"]
@@ -155,11 +149,8 @@ def test_a_setting_that_the_program_chooses_is_listed_as_automatic(inputs):
 
 def test_recall_and_precision_are_those_of_the_answers(inputs):
     pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
-    samples = [
-        {**sample, "label": label, "prediction": answer}
-        for sample, (label, answer) in zip(inputs.deployed_result["samples"], pairs, strict=False)
-    ]
-    results = [{**inputs.deployed_result, "samples": samples}]
+    labels, predictions = zip(*pairs, strict=True)
+    results = [make_result(predictions, labels)]
     rows = report.make_class_table(replace(inputs, results=results))
     assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
         (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)
@@ -172,15 +163,15 @@ def test_recall_and_precision_are_those_of_the_answers(inputs):
 
 def test_right_samples_are_of_the_classes_that_are_mixed_up():
     pairs = [(0, 0), (3, 3), (2, 2), (3, 2), (1, 1), (2, 2)]
-    result = {"samples": [{"label": a, "prediction": b} for a, b in pairs]}
-    assert choose_samples(result) == [3, 1, 2]
-    assert choose_samples({"samples": result["samples"][:3]}) == [0, 1]
+    labels, predictions = zip(*pairs, strict=True)
+    assert choose_samples(make_result(predictions, labels)) == [3, 1, 2]
+    assert choose_samples(make_result(predictions[:3], labels[:3])) == [0, 1]
 
 
 def test_the_most_frequent_mistakes_are_shown_first():
     pairs = [(0, 1), (4, 2), (1, 3), (4, 2), (1, 3), (4, 2)]
-    result = {"samples": [{"label": a, "prediction": b} for a, b in pairs]}
-    assert choose_samples(result, wrong=4) == [1, 3, 5, 2]
+    labels, predictions = zip(*pairs, strict=True)
+    assert choose_samples(make_result(predictions, labels), wrong=4) == [1, 3, 5, 2]
 
 
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
