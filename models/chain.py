@@ -279,7 +279,7 @@ def build_network_spec(
         stimulus=stimulus,
         layers=tuple(make_layer(link) for link in chain),
         presentation=presentation,
-        provenance=NetworkProvenance(provenance or {}),
+        provenance=NetworkProvenance(dict(provenance or {})),
         estimator=estimator,
     )
 

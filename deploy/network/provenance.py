@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Optional
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Dict, Optional
 
 import numpy as np
 
@@ -13,77 +14,81 @@ if TYPE_CHECKING:
 TRAINING_RECORDINGS = "training_recordings"
 
 
-class NetworkProvenance(dict):
-    """Records how a network was made: entries by their names in the bundle.
-
-    Entries that this version does not know stay as they are.
+@dataclass(frozen=True)
+class NetworkProvenance:
+    """Records how a network was made.
 
     Attributes
     ----------
-    simulated : bool or None
-        True if the recordings are simulated.
-    source, source_sha256 : str or None
-        Name and hash of the recordings.
-    polarities : int
-        2 for ON and OFF events, 1 for ON events only.
-    time_unit : str or None
-        Unit of the times in files of the recordings.
-    image : dict or None
-        Section of the settings by which recordings become images.
-    seed : int
-        Seed of the run.
-    settings : dict
-        Settings that the network was made with, by their dotted names.
-    warnings : list of str
-        What is wrong with the recordings.
-    adapted : dict or None
-        The person to whom the readout was fitted.
+    entries : dict
+        By their names in the bundle; those that this version does not know stay as they are.
     """
 
-    @property
-    def simulated(self):
-        return self.get("simulated")
+    entries: Dict[str, Any] = field(default_factory=dict)
+
+    def with_entries(self, **changes) -> NetworkProvenance:
+        """The same record with changed and further entries."""
+        return NetworkProvenance({**self.entries, **changes})
 
     @property
-    def source(self):
-        return self.get("source")
+    def simulated(self) -> Optional[bool]:
+        """True if the recordings are simulated; None if that is unknown."""
+        return self.entries.get("simulated")
 
     @property
-    def source_sha256(self):
-        return self.get("source_sha256")
+    def source(self) -> Optional[str]:
+        """Name of the recordings."""
+        return self.entries.get("source")
 
     @property
-    def polarities(self):
-        return self.get("polarities", 2)
+    def source_sha256(self) -> Optional[str]:
+        """Hash of the recordings."""
+        return self.entries.get("source_sha256")
 
     @property
-    def time_unit(self):
-        return self.get("time_unit")
+    def classes(self) -> Optional[list]:
+        """Names of the classes; :func:`read_classes` also has names for a network without them."""
+        return self.entries.get("classes")
 
     @property
-    def image(self):
-        return self.get("image")
+    def polarities(self) -> int:
+        """2 for ON and OFF events, 1 for ON events only."""
+        return self.entries.get("polarities", 2)
 
     @property
-    def seed(self):
-        return self.get("seed", 0)
+    def time_unit(self) -> Optional[str]:
+        """Unit of the times in files of the recordings."""
+        return self.entries.get("time_unit")
 
     @property
-    def settings(self):
-        return self["made_from"]["settings"]
+    def image(self) -> Optional[dict]:
+        """Section of the settings by which recordings become images."""
+        return self.entries.get("image")
 
     @property
-    def warnings(self):
-        return self.get("warnings", [])
+    def seed(self) -> int:
+        """Seed of the run."""
+        return self.entries.get("seed", 0)
 
     @property
-    def adapted(self):
-        return self.get("adapted")
+    def settings(self) -> dict:
+        """Settings that the network was made with, by their dotted names."""
+        return self.entries["made_from"]["settings"]
+
+    @property
+    def warnings(self) -> list:
+        """What is wrong with the recordings."""
+        return self.entries.get("warnings", [])
+
+    @property
+    def adapted(self) -> Optional[dict]:
+        """The person to whom the readout was fitted."""
+        return self.entries.get("adapted")
 
 
 def read_classes(spec: NetworkSpec) -> tuple:
     """Names of the classes of a network; numbers for one without names."""
-    return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
+    return tuple(map(str, spec.provenance.classes or range(spec.layers[-1].size)))
 
 
 def read_positions(spec: NetworkSpec) -> Optional[np.ndarray]:
@@ -95,7 +100,7 @@ def read_positions(spec: NetworkSpec) -> Optional[np.ndarray]:
         To the right and down; the larger extent is 1, the origin is the upper left corner.  None if
         the positions are not known.
     """
-    stored = spec.provenance.get("positions")
+    stored = spec.provenance.entries.get("positions")
     if stored is None:
         return None
     positions = np.asarray(stored, float)
@@ -105,5 +110,5 @@ def read_positions(spec: NetworkSpec) -> Optional[np.ndarray]:
 
 def read_training_hashes(spec: NetworkSpec) -> set:
     """Hashes of the recordings that a network was trained on or fitted to, if they are known."""
-    hashes = spec.provenance.get(TRAINING_RECORDINGS)
+    hashes = spec.provenance.entries.get(TRAINING_RECORDINGS)
     return set(map(str, hashes)) if isinstance(hashes, list) else set()

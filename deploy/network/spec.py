@@ -58,7 +58,8 @@ class NetworkSpec:
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
         object.__setattr__(self, "layers", tuple(self.layers))
-        object.__setattr__(self, "provenance", NetworkProvenance(self.provenance))
+        if not isinstance(self.provenance, NetworkProvenance):
+            object.__setattr__(self, "provenance", NetworkProvenance(dict(self.provenance)))
         require(SHAPE.holds(self.input_shape), "network", f"input_shape is not {SHAPE.expected}")
         require(1 <= len(self.layers) <= limits.LAYERS, "network", "has no layers, or too many")
         names = [layer.name for layer in self.layers]
@@ -146,7 +147,7 @@ class NetworkSpec:
             "stimulus": {"kind": self.stimulus.kind, **asdict(self.stimulus)},
             "layers": [layer.to_json() for layer in self.layers],
             "presentation": self.presentation.to_json(),
-            "provenance": self.provenance,
+            "provenance": self.provenance.entries,
         }
 
     def to_arrays(self) -> dict:
@@ -183,7 +184,7 @@ class NetworkSpec:
                 stimulus=_read_stimulus(value["stimulus"]),
                 layers=tuple(layers),
                 presentation=load_dataclass(Presentation, value["presentation"], "presentation"),
-                provenance=NetworkProvenance(value.get("provenance", {})),
+                provenance=NetworkProvenance(dict(value.get("provenance", {}))),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
             inputs = layers[-1].weights_by_class.shape[1]

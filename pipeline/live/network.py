@@ -51,7 +51,7 @@ def find_record_folder(bundle: Bundle, sensor: Sensor) -> str:
 
 def find_name(bundle: Bundle) -> str:
     """The name of the data set that a network was trained on."""
-    return str(bundle.spec.provenance.get("source", "recordings of unknown origin"))
+    return str(bundle.spec.provenance.source or "recordings of unknown origin")
 
 
 def describe_for_page(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -> dict:

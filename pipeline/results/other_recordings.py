@@ -109,9 +109,9 @@ def read_recordings_for(
     """
     rows, columns = bundle.spec.input_shape[:2]
     data = settings.data
-    recorded = bundle.spec.provenance
+    recorded = bundle.spec.provenance.entries
     # Files without a unit have that of the training, also if a person writes much faster.
-    usual_unit = recorded.time_unit
+    usual_unit = bundle.spec.provenance.time_unit
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
     reading = ReadingOptions(
         rows,

@@ -98,14 +98,8 @@ class Parameters:
         One for each digit.
     shapes : ShapeModel
         Model of handwriting.
-    people : int
-        Number of writers.
-    chunked : float
-        Share of the recordings that keep the order of events and not their time
-        (:mod:`pipeline.recordings.chunks`).
-    mixed_forms : float
-        Share of the recordings that have the :class:`Form` of any digit instead of that of their
-        own.
+    population : Population
+        ``writers`` and ``shapes`` are already those of its shares.
     """
 
     writers: Any
@@ -117,20 +111,20 @@ class Parameters:
     faults: Any
     forms: tuple
     shapes: ShapeModel
-    people: int = DEFAULT_POPULATION.people
-    chunked: float = 0.0
-    mixed_forms: float = 0.0
+    population: Population = DEFAULT_POPULATION
 
     def compute_hash(self) -> str:
         """Hexadecimal SHA-256 over every value."""
         values = {
             field.name: _make_plain(getattr(self, field.name))
             for field in dataclasses.fields(self)
-            if field.name != "shapes"
+            if field.name not in ("shapes", "population")
         }
+        values["people"] = self.population.people
+        values["chunked"] = self.population.chunked_share
         # With a share of 0 the recordings do not depend on this parameter.
-        if not self.mixed_forms:
-            del values["mixed_forms"]
+        if self.population.mixed_form_share:
+            values["mixed_forms"] = self.population.mixed_form_share
         text = json.dumps([values, self.shapes.compute_hash()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -169,9 +163,7 @@ def from_fit(
         **sections,
         forms=tuple(map(_make_form, fit["digits"])),
         shapes=shape_model.read_tablet_model().join(shapes, 1 - population.tablet_share),
-        people=population.people,
-        chunked=population.chunked_share,
-        mixed_forms=population.mixed_form_share,
+        population=population,
     )
 
 
@@ -190,7 +182,7 @@ def _freeze(value):
 
 
 def _make_plain(value):
-    """A section, the forms or a number as plain values."""
+    """A section or the forms as plain values."""
     if isinstance(value, tuple):
         return [dataclasses.asdict(form) for form in value]
-    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
+    return dataclasses.asdict(value)

@@ -142,7 +142,7 @@ def simulate_recordings(
     parameters = setup.parameters
     size = setup.size
     counts = _make_counts(samples_per_digit)
-    samples = list_samples(seed, counts, parameters.people, setup.traces)
+    samples = list_samples(seed, counts, parameters.population.people, setup.traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_simulate_batch)(seed, batch, parameters, size) for batch in batches)
@@ -176,19 +176,37 @@ def make_source(seed=0, samples_per_digit=None, setup: SimulationSetup | None = 
         digest.update(np.array([trace.digit, trace.writer]).tobytes())
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
-    name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
-    if parameters.chunked:
-        name += ", in chunks" if parameters.chunked == 1 else ", some in chunks"
-    if not traces and parameters.people != DEFAULT_POPULATION.people:
-        name += f", {parameters.people} people"
-    if not traces and parameters.writers.backwards[0] != DEFAULT_POPULATION.reversed_share:
-        name += f", {100 * parameters.writers.backwards[0]:g} % reversed"
-    if not traces and parameters.writers.tablet != DEFAULT_POPULATION.tablet_share:
-        name += f", {100 * parameters.writers.tablet:g} % as on a tablet"
-    if parameters.mixed_forms:
-        name += f", {100 * parameters.mixed_forms:g} % placed and pressed like any digit"
-    name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
+    peculiarities = _describe_peculiarities(parameters, bool(traces))
+    if tuple(size) != SIZE:
+        peculiarities.append(f"{size[0]}x{size[1]} taxels")
+    name = ", ".join([f"simulated, seed {seed}", *peculiarities])
     return Source(name, digest.hexdigest(), True)
+
+
+def _describe_peculiarities(parameters, has_traces) -> list:
+    """What differs from the default population, in a few words each."""
+    population = parameters.population
+    texts = ["recorded handwriting"] if has_traces else []
+    if population.chunked_share:
+        texts.append("in chunks" if population.chunked_share == 1 else "some in chunks")
+    if not has_traces:
+        texts += _describe_writers(population, parameters.writers)
+    if population.mixed_form_share:
+        percent = 100 * population.mixed_form_share
+        texts.append(f"{percent:g} % placed and pressed like any digit")
+    return texts
+
+
+def _describe_writers(population, writers) -> list:
+    """How the simulated people differ from the default ones, in a few words each."""
+    texts = []
+    if population.people != DEFAULT_POPULATION.people:
+        texts.append(f"{population.people} people")
+    if writers.backwards[0] != DEFAULT_POPULATION.reversed_share:
+        texts.append(f"{100 * writers.backwards[0]:g} % reversed")
+    if writers.tablet != DEFAULT_POPULATION.tablet_share:
+        texts.append(f"{100 * writers.tablet:g} % as on a tablet")
+    return texts
 
 
 def _make_counts(samples_per_digit):
@@ -249,9 +267,10 @@ def _simulate_batch(seed, samples, parameters, size):
         for sample in samples
     ]
     events = _receive(touches, parameters, size)
+    chunked_share = parameters.population.chunked_share
     for number, sample in enumerate(samples):
         # Spread evenly over the recordings of a digit.
-        if (sample.index * parameters.chunked) % 1 + parameters.chunked >= 1:
+        if (sample.index * chunked_share) % 1 + chunked_share >= 1:
             events[number] = chunk_events(events[number])
     return events
 
@@ -298,7 +317,8 @@ def scale_motion(moved, size):
 
 def draw_form(digit, rng, parameters):
     """Place, size, force and contact of one recording: those of its digit, or of any digit."""
-    if parameters.mixed_forms and rng.random() < parameters.mixed_forms:
+    mixed_form_share = parameters.population.mixed_form_share
+    if mixed_form_share and rng.random() < mixed_form_share:
         digit = rng.integers(len(parameters.forms))
     return parameters.forms[digit]
 

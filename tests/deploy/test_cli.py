@@ -46,7 +46,7 @@ def test_every_error_is_one_line_and_a_status(monkeypatch, capsys, error, status
 
 def test_a_check_runs_with_the_seed_of_the_bundle_s_run(tmp_path):
     spec = make_image_network()
-    spec = replace(spec, provenance={**spec.provenance, "seed": 3})
+    spec = replace(spec, provenance=spec.provenance.with_entries(seed=3))
     bundle = bundle_at(tmp_path / "bundle", spec)
     for options, seed in (([], 3), (["--seed", "5"], 5)):
         assert cli.main(["check", str(bundle.path), "--target", "fast", *options]) == 0

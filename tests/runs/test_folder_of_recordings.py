@@ -165,7 +165,7 @@ def test_cut_ends_new_polarities_and_a_smaller_sensor_are_said(folder, tmp_path)
     ends = [events[2][-1] - events[2][0] for events, _ in slow]
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES, "s")
     bundle = read_bundle(folder / "events" / "bundle")
-    of_one = replace(bundle.spec, provenance={**bundle.spec.provenance, "polarities": 1})
+    of_one = replace(bundle.spec, provenance=bundle.spec.provenance.with_entries(polarities=1))
     settings, changed = other_recordings.find_settings_around(bundle), replace(bundle, spec=of_one)
     read = other_recordings.read_recordings_for(changed, str(source), settings)
     said = other_recordings.list_warnings(changed, read)

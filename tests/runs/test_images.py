@@ -31,7 +31,7 @@ def test_the_data_are_called_simulated_everywhere(tiny_run):
     assert dataset["simulated"] is True
     assert (dataset["samples"], {*dataset["samples_per_class"].values()}) == (600, {60})
     assert len(dataset["sha256"]) == 64
-    assert read_bundle(tiny_run / "bundle").spec.provenance["simulated"] is True
+    assert read_bundle(tiny_run / "bundle").spec.provenance.simulated is True
     for stage in STAGES:
         assert read_result(tiny_run / "checks" / f"{stage}.json")["simulated"] is True
     assert read_json(tiny_run / "ladder.json", "")["simulated"] is True

@@ -57,7 +57,7 @@ def test_names_and_sizes_in_the_run(run):
     assert (facts["sensor"]["rows"], facts["sensor"]["columns"]) == (ROWS, COLUMNS)
     spec = read_bundle(run / "bundle").spec
     assert spec.input_shape == (ROWS, COLUMNS, 1)
-    assert tuple(spec.provenance["classes"]) == NAMES
+    assert tuple(spec.provenance.classes) == NAMES
 
 
 def test_names_in_the_ladder(run):
@@ -102,7 +102,7 @@ def checked(run, folder, capsys):
 def test_recordings_of_the_training_are_recognised_by_their_content(run, tmp_path, capsys):
     """Copies of single recordings with other names, in another folder and format."""
     bundle = read_bundle(run / "bundle")
-    trained = bundle.spec.provenance["training_recordings"]
+    trained = bundle.spec.provenance.entries["training_recordings"]
     assert len(trained) == len(set(trained)) == 120
     same = load_recordings(str(part_of(run, tmp_path / "same")), jobs=1)
     expected = sum(content in trained for content in same.hashes)

@@ -14,7 +14,7 @@ from deploy.check.comparison import compare_results
 from deploy.check.energy import MAC_JOULES, estimate_energy, format_joules
 from deploy.check.intervals import compute_wilson_interval
 from deploy.check.results import CheckResult
-from deploy.network.provenance import read_positions
+from deploy.network.provenance import read_classes, read_positions
 from deploy.network.responses import compute_seconds_per_sample
 from deploy.tables import SIGNIFICANCE, format_count, format_p, list_names
 from deploy.targets.registry import TARGETS
@@ -77,7 +77,7 @@ class ReportData:
     @property
     def classes(self) -> list:
         """Names of the classes."""
-        return self.bundle.spec.provenance["classes"]
+        return list(read_classes(self.bundle.spec))
 
 
 def render_report(inputs: ReportData, now: datetime.datetime | None = None) -> str:
@@ -116,7 +116,10 @@ def render_report(inputs: ReportData, now: datetime.datetime | None = None) -> s
         style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
         made=(now or datetime.datetime.now(datetime.UTC)).strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
-        **{name: provenance[name] for name in ("source", "source_sha256", "simulated")},
+        classes=inputs.classes,
+        source=provenance.source,
+        source_sha256=provenance.source_sha256,
+        simulated=provenance.simulated,
         warnings=_list_warnings(provenance, result),
         settings=_list_settings(inputs),
         seed=inputs.settings.seed,

@@ -131,14 +131,11 @@ def _make_provenance(bundle, recordings, writer, fit, n_fitted):
 
 def _change_readout(spec, fit, recordings, entry):
     """The network with the new weights, and with its provenance."""
+    hashes = sorted({*read_training_hashes(spec), *recordings.hashes})
     return replace(
         spec,
         layers=(*spec.layers[:-1], spec.layers[-1].with_weights_by_class(fit.weights)),
-        provenance={
-            **spec.provenance,
-            "adapted": entry,
-            TRAINING_RECORDINGS: sorted({*read_training_hashes(spec), *recordings.hashes}),
-        },
+        provenance=spec.provenance.with_entries(adapted=entry, **{TRAINING_RECORDINGS: hashes}),
     )
 
 

@@ -82,7 +82,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     unit = np.abs(weights).max() / 127
     np.testing.assert_allclose(weights / unit, np.rint(weights / unit), atol=1e-6)
     assert new.spec.presentation.threshold >= old.spec.presentation.threshold
-    assert new.spec.provenance["adapted"]["from"] == old.id
+    assert new.spec.provenance.entries["adapted"]["from"] == old.id
     # The new bundle is one like any other: its check says what was promised of the others.
     out = tmp_path / "fast.json"
     assert call("check", "run", folder, "--target", "fast", "--out", out) == 0
@@ -198,7 +198,7 @@ def test_a_readout_on_the_chip_and_other_classes(tmp_path, run, person, capsys):
     write_bundle(tmp_path / "chip", on_chip, bundle.checks)
     assert call("adapt", tmp_path / "chip", "--data", person) == 2
     assert "deployment.readout" in capsys.readouterr().err
-    letters = {**bundle.spec.provenance, "classes": list("abcdefghij")}
+    letters = bundle.spec.provenance.with_entries(classes=list("abcdefghij"))
     write_bundle(tmp_path / "letters", replace(bundle.spec, provenance=letters), bundle.checks)
     assert call("adapt", tmp_path / "letters", "--data", person) == 2
     assert "mine.zip" in capsys.readouterr().err
@@ -219,7 +219,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     # The network was made with the recordings of writer 3, which matters for that writer only.
     bundle = read_bundle(SHIPPED)
     hashes = [several.hashes[index] for index in np.flatnonzero(several.writers == 3)]
-    provenance = {**bundle.spec.provenance, "training_recordings": hashes}
+    provenance = bundle.spec.provenance.with_entries(training_recordings=hashes)
     bundle = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
     for writer, number in ((3, 10), (4, 0)):
         said = " ".join(
@@ -231,7 +231,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
 def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
     """The recordings are of a camera with twice as many rows and columns as the network."""
     shipped = read_bundle(SHIPPED)
-    read_with = {k: v for k, v in shipped.spec.provenance.items() if k != "downsample"}
+    read_with = {k: v for k, v in shipped.spec.provenance.entries.items() if k != "downsample"}
     unknown = replace(shipped.spec, provenance=read_with)
     write_bundle(tmp_path / "run" / "bundle", unknown, shipped.checks)
     own = Settings().with_values({"data": {"source": "own", "downsample": 2}})
@@ -248,7 +248,7 @@ def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
     assert call("adapt", *arguments) == 0
     assert told(capsys)["samples"] == 40
     copied = read_bundle(tmp_path / "run" / "bundle")
-    spec = replace(copied.spec, provenance={**copied.spec.provenance, "downsample": 2})
+    spec = replace(copied.spec, provenance=copied.spec.provenance.with_entries(downsample=2))
     arguments = str(tmp_path / "data"), Settings()
     assert len(read_recordings_for(replace(copied, spec=spec), *arguments)) == 40
     with pytest.raises(UserError):

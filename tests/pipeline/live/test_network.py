@@ -15,7 +15,7 @@ BUNDLE = read_bundle(SHIPPED)
 
 def changed(shape=(9, 12, 2), inputs=None, **provenance) -> Bundle:
     """The package's bundle with another description; its layers are not looked at here."""
-    spec = replace(BUNDLE.spec, provenance={**BUNDLE.spec.provenance, **provenance})
+    spec = replace(BUNDLE.spec, provenance=BUNDLE.spec.provenance.with_entries(**provenance))
     object.__setattr__(spec, "input_shape", shape)
     checks = BUNDLE.checks if inputs is None else replace(BUNDLE.checks, inputs=inputs)
     return replace(BUNDLE, spec=spec, checks=checks)

@@ -25,9 +25,9 @@ def bundle():
 
 def test_it_is_of_its_recipe_and_of_the_built_in_recordings(bundle):
     provenance, settings = bundle.spec.provenance, read_settings(RECIPE)
-    assert provenance["source_sha256"] == find_hash_and_split(settings)[0], AGAIN
-    assert provenance["simulated"] is True
-    made_from, flat = provenance["made_from"]["settings"], settings.flatten()
+    assert provenance.source_sha256 == find_hash_and_split(settings)[0], AGAIN
+    assert provenance.simulated is True
+    made_from, flat = provenance.settings, settings.flatten()
     for name, recorded in made_from.items():
         value = list(flat[name]) if isinstance(flat[name], tuple) else flat[name]
         assert value in (recorded, "auto"), AGAIN

@@ -44,10 +44,10 @@ def result(stage, predictions, labels=LABELS, ids=None, operations=None, **more)
 
 def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more):
     spec = spec or make_image_network()
-    spec.provenance["source_sha256"] = source
+    spec.provenance.entries["source_sha256"] = source
     settings = Settings().with_values(changes or {}, "here")
     origin = find_kind(settings).make_bundle_origin(make_dataset_origin(settings, source))
-    spec.provenance["made_from"] = origin.to_json()
+    spec.provenance.entries["made_from"] = origin.to_json()
     return ComparedRun(name, settings, spec, cores, 1, {r.target: r for r in results}, **more)
 
 
@@ -154,7 +154,7 @@ def test_time_to_decide_of_events():
 
 def test_simulated_and_other_samples_are_told_apart():
     real = make_image_network()
-    real.provenance["simulated"] = False
+    real.provenance.entries["simulated"] = False
     runs = [run("a", [result("cnn", ALL)]), run("b", [result("cnn", ALL)], spec=real)]
     assert "8 samples" in format_runs(compare_runs(runs))
     assert "simulated" not in format_runs(compare_runs([runs[1], runs[1]]))

@@ -83,7 +83,7 @@ def test_the_hash_is_over_all_that_matters(recordings):
 
 def test_a_share_of_the_recordings_has_the_form_of_any_digit():
     p = parameters.read_parameters()
-    mixed = replace(p, mixed_forms=0.5)
+    mixed = replace(p, population=replace(p.population, mixed_form_share=0.5))
     rng = np.random.default_rng(0)
     drawn = [mixed.forms.index(draw_form(3, rng, mixed)) for _ in range(2000)]
     counts = np.bincount(drawn, minlength=10)

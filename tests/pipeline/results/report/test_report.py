@@ -134,7 +134,7 @@ def test_the_verdict_compares_the_same_samples(inputs):
 
 def test_what_is_wrong_with_the_recordings_is_said(inputs):
     bundle = inputs.bundle
-    provenance = {**bundle.spec.provenance, "warnings": ["3 of 9 are cut"]}
+    provenance = bundle.spec.provenance.with_entries(warnings=["3 of 9 are cut"])
     changed = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
     assert "3 of 9 are cut" in report.render_report(replace(inputs, bundle=changed))
 
