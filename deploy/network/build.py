@@ -14,7 +14,7 @@ from .chip import LOIHI, Chip
 from .layer import Layer, Neurons
 from .loihi_import import nengo_loihi
 from .spec import NetworkSpec
-from .stimulus import EventFrames, Feed
+from .stimulus import Feed
 from .synapses import split_layer
 
 
@@ -40,59 +40,6 @@ def pad_only_where_needed():
 
 
 pad_only_where_needed()
-
-
-class EvenSpikes(nengo.SpikingRectifiedLinear):
-    """Neurons with evenly spaced spikes that restart from the same phase after a blank input.
-
-    Parameters
-    ----------
-    phase : float
-        Voltage without input, as a share of the threshold.
-    amplitude : float
-    """
-
-    phase = nengo.params.NumberParam("phase", low=0, high=1)
-
-    def __init__(self, phase=0.5, amplitude=1.0):
-        super().__init__(
-            amplitude=amplitude, initial_state={"voltage": nengo.dists.Choice([phase])}
-        )
-        self.phase = phase
-
-    def step(self, dt, J, output, voltage):
-        """One step of Nengo's neurons, then the reset; arrays of any one shape."""
-        super().step(dt, J, output, voltage)
-        voltage[J <= 0] = self.phase
-
-
-class Relay(nengo.neurons.NeuronType):
-    """Neurons without memory that spike in each step with an input.
-
-    Parameters
-    ----------
-    amplitude : float
-        Area of a spike.
-    """
-
-    spiking = True
-    amplitude = nengo.params.NumberParam("amplitude", low=0, low_open=True)
-
-    def __init__(self, amplitude=1.0):
-        super().__init__()
-        self.amplitude = amplitude
-
-    def gain_bias(self, max_rates, intercepts):
-        """Not implemented: gain and bias are always set."""
-        raise NotImplementedError
-
-    def max_rates_intercepts(self, gain, bias):
-        """Not meaningful for these neurons."""
-        return np.full_like(gain, np.nan), np.full_like(bias, np.nan)
-
-    def step(self, dt, J, output):
-        """One step; arrays of any one shape."""
-        output[...] = (J > 0) * (self.amplitude / dt)
 
 
 @dataclass(frozen=True)
@@ -195,13 +142,7 @@ def _connect_to_itself(target, weights: np.ndarray, synapse: float | None):
 
 
 def _build_input_neurons(spec):
-    stimulus = spec.stimulus
-    if isinstance(stimulus, EventFrames):
-        neuron_type = Relay(amplitude=stimulus.area)
-        gain = 1.0
-    else:
-        neuron_type = EvenSpikes(stimulus.initial_phase, amplitude=stimulus.area)
-        gain = stimulus.max_rate
+    neuron_type, gain = spec.stimulus.make_input_neurons()
     n = int(np.prod(spec.input_shape))
     return _make_neurons(n, neuron_type, np.full(n, gain), np.zeros(n), "input")
 

@@ -49,6 +49,32 @@ class Stimulus:
         """Minimum number of steps between two spikes of an input neuron."""
         return 1
 
+    def make_input_neurons(self) -> tuple:
+        """The neurons that make the spikes in a Nengo network.
+
+        Returns
+        -------
+        neuron_type : nengo.neurons.NeuronType
+        gain : float
+            Of each neuron.
+        """
+        raise NotImplementedError
+
+    def compute_input_spikes(self, samples, n_steps: int) -> np.ndarray:
+        """Spikes of the input neurons in a presentation that begins at rest.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n_samples, ...)
+        n_steps : int
+
+        Returns
+        -------
+        ndarray of float, shape (n_samples, n_steps, size)
+            0 or 1.
+        """
+        raise NotImplementedError
+
     def find_sample_shape(self, input_shape, n_steps: int) -> tuple:
         """Shape of one sample: (rows, columns, channels), with (steps,) before it unless static."""
         return tuple(input_shape) if self.is_static else (n_steps, *input_shape)
@@ -111,6 +137,23 @@ class ImageSpikes(Stimulus):
     def shortest_interval(self) -> int:
         """Minimum number of steps between two spikes of a pixel of at most 1."""
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
+
+    def make_input_neurons(self) -> tuple:
+        """Neurons that spike evenly; see :meth:`Stimulus.make_input_neurons`."""
+        from .input_neurons import EvenSpikes  # Nengo is imported by targets only
+
+        return EvenSpikes(self.initial_phase, amplitude=self.area), self.max_rate
+
+    def compute_input_spikes(self, samples, n_steps: int) -> np.ndarray:
+        """Evenly spaced spikes; see :meth:`Stimulus.compute_input_spikes`."""
+        added = samples.reshape(len(samples), -1) * (self.max_rate * LOIHI.dt)
+        voltage = np.full(added.shape, self.initial_phase)
+        spikes = np.empty((len(samples), n_steps, added.shape[1]))
+        for step in range(n_steps):
+            voltage += added
+            spikes[:, step] = voltage >= 1
+            voltage -= spikes[:, step]
+        return spikes
 
     def find_problem(self, samples, input_shape, n_steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
@@ -176,6 +219,16 @@ class EventFrames(Stimulus):
     def step_seconds(self) -> float:
         """Time in seconds of the recording that one step represents."""
         return self.seconds
+
+    def make_input_neurons(self) -> tuple:
+        """Neurons that relay events; see :meth:`Stimulus.make_input_neurons`."""
+        from .input_neurons import Relay  # Nengo is imported by targets only
+
+        return Relay(amplitude=self.area), 1.0
+
+    def compute_input_spikes(self, samples, n_steps: int) -> np.ndarray:
+        """A spike for each event; see :meth:`Stimulus.compute_input_spikes`."""
+        return samples.reshape(*samples.shape[:2], -1).astype(float)
 
     def find_problem(self, samples, input_shape, n_steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""

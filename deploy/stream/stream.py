@@ -13,7 +13,6 @@ import numpy as np
 from ..check.bundle import Bundle, read_bundle
 from ..errors import UserError
 from ..network.provenance import read_classes
-from ..network.stimulus import EventFrames
 from ..targets.emulation import Emulation
 from ..terminal import format_command
 from .clock import UNIT_NS, SensorClock
@@ -87,33 +86,27 @@ class Stream:
         stream_length: Optional[int] = None,
         network: Optional[SharedNetwork] = None,
     ):
-        if unit not in UNIT_NS:
-            raise UserError(f"unit {unit!r}: not one of {', '.join(UNIT_NS)}")
-        if not isinstance(bundle, Bundle):
-            bundle = read_bundle(_find_bundle(bundle))
-        _require_events(bundle)
+        _require_unit(unit)
+        bundle = _read_event_bundle(bundle)
+        self._spec = spec = bundle.spec
+        self.classes = read_classes(spec)
         self.silence = _measure_usual_silence(bundle) if silence is None else float(silence)
         _require_positive_seconds("silence", self.silence)
+        self._silence_ns = 1e9 * self.silence
         if longest is not None:
-            _require_positive_seconds("longest", longest)
-            if math.isinf(longest):
-                raise UserError("longest: must be finite; leave it out for that of the bundle")
-        self._spec = spec = bundle.spec
+            _require_finite_seconds("longest", longest)
         self._unit = unit
         self._tick_ns = UNIT_NS[unit]
         self._steps = TouchSteps(spec, longest)
-        has_off = spec.provenance.polarities == 2
-        self.classes = read_classes(spec)
-        self._silence_ns = 1e9 * self.silence
         self._faults = Faults()
         self._clock = SensorClock(self._silence_ns, self._faults)
+        has_off = spec.provenance.polarities == 2
         self._reader = EventReader(spec.input_shape, has_off, self._tick_ns, self._faults)
         if network is None:
             network = SharedNetwork(Emulation(spec, bundle.seed))
         if stream_length is None:
             stream_length = spec.presentation.stream_length
-        elif not isinstance(stream_length, Integral) or stream_length < 1:
-            raise UserError(f"stream_length {stream_length!r}: must be a whole number from 1")
+        _require_stream_length(stream_length)
         presenting = PresentingNetwork(network, stream_length, self._steps.longest)
         self._decider = Decider(presenting, spec, self._steps, self._note_verdict)
         self._touch: Optional[Touch] = None  # the present one, or the last one, which has ended
@@ -377,10 +370,34 @@ class Stream:
             )
 
 
+def _require_unit(unit):
+    if unit not in UNIT_NS:
+        raise UserError(f"unit {unit!r}: not one of {', '.join(UNIT_NS)}")
+
+
+def _require_stream_length(number):
+    if not isinstance(number, Integral) or number < 1:
+        raise UserError(f"stream_length {number!r}: must be a whole number from 1")
+
+
+def _require_finite_seconds(name, seconds):
+    _require_positive_seconds(name, seconds)
+    if math.isinf(seconds):
+        raise UserError(f"{name}: must be finite; leave it out for that of the bundle")
+
+
 def _require_positive_seconds(name, seconds):
     """Refuse a duration that no touch can have; it may be infinite."""
     if not seconds > 0:
         raise UserError(f"{name} {seconds:g}: must be above 0 seconds")
+
+
+def _read_event_bundle(bundle_or_run):
+    """The bundle of a network on events, which is given, or named by its folder or its run."""
+    is_bundle = isinstance(bundle_or_run, Bundle)
+    bundle = bundle_or_run if is_bundle else read_bundle(_find_bundle(bundle_or_run))
+    _require_events(bundle)
+    return bundle
 
 
 def _find_bundle(bundle_or_run):
@@ -394,7 +411,7 @@ def _require_events(bundle):
     """Refuse networks whose input is not the ON and OFF events of a sensor."""
     spec = bundle.spec
     name = bundle.path or "the bundle"
-    if not isinstance(spec.stimulus, EventFrames):
+    if spec.stimulus.is_static:
         remedy = format_command("convert", "runs/events", "--input", "events")
         raise UserError(
             f"{name}: its network is on images, which are made of whole recordings; a stream "

@@ -24,7 +24,6 @@ from deploy.network.readout import (
     select_readout,
 )
 from deploy.network.responses import compute_responses
-from deploy.network.stimulus import EventFrames
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.targets.emulation import Emulation
@@ -335,6 +334,5 @@ class TouchDecider:
 
 def make_decider(bundle: Bundle, sensor: Sensor) -> PageDecider:
     """The decider for a bundle; compiles the emulator if necessary."""
-    if isinstance(bundle.spec.stimulus, EventFrames):
-        return EventDecider(bundle, sensor)
-    return ImageDecider(bundle, sensor)
+    decider = ImageDecider if bundle.spec.stimulus.is_static else EventDecider
+    return decider(bundle, sensor)

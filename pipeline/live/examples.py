@@ -9,7 +9,6 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
-from deploy.network.stimulus import EventFrames
 from pipeline.recordings.events import Events
 from pipeline.recordings.recordings import Recordings
 from pipeline.settings import read_settings
@@ -168,7 +167,7 @@ def list_bundle_examples(bundle: Bundle) -> list:
     """
     stimulus = bundle.spec.stimulus
     checks = bundle.checks
-    if not isinstance(stimulus, EventFrames):
+    if stimulus.is_static:
         return []
     step_ns = round(1e9 * stimulus.step_seconds)
     return [

@@ -6,7 +6,6 @@ from pathlib import Path
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.provenance import read_classes, read_positions
-from deploy.network.stimulus import EventFrames
 from pipeline.live import RECORD
 from pipeline.recordings.sensor import Sensor, are_digits, is_st_mnist_sensor
 
@@ -24,7 +23,7 @@ def find_sensor(bundle: Bundle) -> Sensor:
         The network's input is neither the events of a sensor nor their image.
     """
     spec = bundle.spec
-    is_image = not isinstance(spec.stimulus, EventFrames)
+    is_image = spec.stimulus.is_static
     if len(spec.input_shape) != 3 or (not is_image and spec.input_shape[2] != 2):
         raise UserError(
             f"{bundle.path}: its input has the shape {spec.input_shape}; the page needs a network "

@@ -10,7 +10,6 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.network.provenance import TRAINING_RECORDINGS
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from pipeline.recordings.cache import make_empty_array
 from pipeline.recordings.images import AlteredImages, make_tactile_images
@@ -272,7 +271,7 @@ class FramesOnDemand:
     def __init__(self, recordings: Recordings, settings: Settings):
         self._table = recordings.table
         self._step_ms = settings.input.step_ms
-        self._limits = SpikeLimits.from_input(settings.input)
+        self._limits = SpikeLimits.from_settings(settings.input)
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
         self.dtype = np.dtype(np.uint8)
 
@@ -345,12 +344,12 @@ def make_inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | No
         As from :func:`make_inputs`.
     """
     stimulus = spec.stimulus
-    if isinstance(stimulus, EventFrames):
+    if not stimulus.is_static:
         table = recordings.table
         steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
         frames = table.make_frames(
-            np.arange(len(table)), step_ms, steps, SpikeLimits.from_input(stimulus)
+            np.arange(len(table)), step_ms, steps, SpikeLimits.from_stimulus(stimulus)
         )
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.image) is not None:

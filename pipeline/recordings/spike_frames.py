@@ -40,11 +40,14 @@ class SpikeLimits:
     max_spikes: int = 0
 
     @classmethod
-    def from_input(cls, stimulus: Input | EventFrames) -> SpikeLimits:
-        """The limits of settings or of a bundle's stimulus."""
-        if isinstance(stimulus, EventFrames):
-            return cls(stimulus.refractory, stimulus.max_spikes)
-        return cls(stimulus.refractory_steps, stimulus.max_spikes)
+    def from_settings(cls, inputs: Input) -> SpikeLimits:
+        """The limits of settings."""
+        return cls(inputs.refractory_steps, inputs.max_spikes)
+
+    @classmethod
+    def from_stimulus(cls, stimulus: EventFrames) -> SpikeLimits:
+        """The limits of a bundle's stimulus."""
+        return cls(stimulus.refractory, stimulus.max_spikes)
 
 
 NO_LIMITS = SpikeLimits()

@@ -12,7 +12,6 @@ from deploy.check.results import CheckResult, PresentedRecordings, SubsetAccurac
 from deploy.errors import UserError
 from deploy.network.decision import compute_probabilities
 from deploy.network.provenance import read_classes, read_training_hashes
-from deploy.network.stimulus import EventFrames
 from deploy.tables import list_names
 from deploy.targets.registry import run_target
 from deploy.terminal import WARNING, remark
@@ -289,7 +288,7 @@ def _describe_limits(spec, recordings):
     has_off = bool((events.polarity < 0).any())
     if has_off != (spec.provenance.polarities == 2):
         yield f"there are {'' if has_off else 'no '}OFF events, unlike in those of the training"
-    if isinstance(spec.stimulus, EventFrames):
+    if not spec.stimulus.is_static:
         step_ms = 1000 * spec.stimulus.step_seconds
         steps = spec.presentation.steps
         if line := describe_cut_recordings(recordings.table, step_ms, steps):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from deploy.network.chip import LOIHI
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames, Stimulus
+from deploy.network.stimulus import Stimulus
 from deploy.terminal import WARNING
 from models import chain
 from models.nir.chain import from_nir
@@ -126,7 +124,7 @@ def make_nir_spec(
     """
     readout_steps = range(presentation.readout_start, presentation.steps)
     links = from_nir(network, stepping.step_s, stepping.method, samples.shape[-3:], readout_steps)
-    spikes = count_input_spikes(stimulus, samples, presentation.steps)
+    spikes = stimulus.compute_input_spikes(samples, presentation.steps)
     links = round_chain(links, spikes, stimulus.area / LOIHI.dt, synapses_per_weight)
     return chain.build_network_spec(links, stimulus, presentation)
 
@@ -148,17 +146,3 @@ def list_synapse_notes(spec: NetworkSpec):
                 f"layer {layer.name}: one synapse for each weight, {synapses} in all; two would "
                 "make its weights finer, if they fit on a core ('nir.synapses_per_weight')"
             )
-
-
-def count_input_spikes(stimulus, samples, steps):
-    """Spikes of the input neurons, 0 or 1, shape (n_samples, steps, values)."""
-    if isinstance(stimulus, EventFrames):
-        return samples.reshape(*samples.shape[:2], -1).astype(float)
-    added = samples.reshape(len(samples), -1) * (stimulus.max_rate * LOIHI.dt)
-    voltage = np.full(added.shape, stimulus.initial_phase)
-    spikes = np.empty((len(samples), steps, added.shape[1]))
-    for t in range(steps):
-        voltage += added
-        spikes[:, t] = voltage >= 1
-        voltage -= spikes[:, t]
-    return spikes

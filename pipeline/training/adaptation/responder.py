@@ -7,7 +7,6 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.network.ops.dense import DeployedDense
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames
 from deploy.targets.emulation import Emulation
 from pipeline.recordings.augmentation import AUGMENTATIONS, alter_recordings, choose_augmentation
 from pipeline.recordings.dataset import make_inputs_for
@@ -65,8 +64,9 @@ class Responder:
     def scale(self) -> float:
         """Factor that converts scores to the logits of the training."""
         presentation = self.spec.presentation
-        on_events = isinstance(self.spec.stimulus, EventFrames)
-        return float(presentation.steps - presentation.readout_start) if on_events else 1.0
+        if self.spec.stimulus.is_static:
+            return 1.0
+        return float(presentation.steps - presentation.readout_start)
 
     def make_inputs(self, recordings: Recordings) -> np.ndarray:
         """The inputs of the network for recordings."""

@@ -55,7 +55,7 @@ class EventDesign:
 
     architecture: str = EventTraining.architecture
     step_ms: float = Input.step
-    limits: SpikeLimits = field(default_factory=lambda: SpikeLimits.from_input(Input()))
+    limits: SpikeLimits = field(default_factory=lambda: SpikeLimits.from_settings(Input()))
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
@@ -99,7 +99,7 @@ class EventDesign:
             alteration = replace(alteration, hot=HOT_SHARE, dead=DEAD_SHARE)
         values |= {
             "step_ms": inputs.step,
-            "limits": SpikeLimits.from_input(inputs),
+            "limits": SpikeLimits.from_settings(inputs),
             "section_starts": settings.section_starts,
         }
         del values["parts"], values["part"], values["size"]
