@@ -39,7 +39,14 @@ from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay_samples
-from pipeline.settings import SIMULATED, Settings, merge_values, read_settings, set_nested
+from pipeline.settings import (
+    SIMULATED,
+    Settings,
+    merge_values,
+    read_settings,
+    set_nested,
+    suggest_name,
+)
 from pipeline.sources import load_named_recordings
 from pipeline.storage.run_folder import RunFolder, lock_run, require_run_or_new_folder
 from pipeline.workflow.target_check import TargetCheck
@@ -434,9 +441,9 @@ def _refuse_misspelt_arguments(settings):
     """Refuse a name that is no setting and is similar to an argument of :class:`Run`."""
     known = Settings().flatten()
     for name in settings:
-        near = [] if name in known else difflib.get_close_matches(name, ARGUMENTS, n=1)
-        if near:
-            raise UserError(f"{ORIGIN}: {name!r} is unknown (did you mean {near[0]!r}?)")
+        suggestion = "" if name in known else suggest_name(name, ARGUMENTS)
+        if suggestion:
+            raise UserError(f"{ORIGIN}: {name!r} is unknown{suggestion}")
 
 
 def _require_samples(samples, data):

@@ -22,7 +22,7 @@ from pipeline.settings.groups import (
     SkinSize,
     SplitShares,
 )
-from pipeline.settings.nested import find_value, merge_values, set_nested
+from pipeline.settings.nested import find_value, merge_values, set_nested, suggest_name
 from pipeline.settings.relations import IMPORTED
 from pipeline.settings.schema import KEPT_SETTINGS, PATHS, Settings, list_names_in
 from pipeline.settings.text import (
@@ -72,5 +72,6 @@ __all__ = [
     "read_own_settings",
     "read_settings",
     "set_nested",
+    "suggest_name",
     "write_settings",
 ]

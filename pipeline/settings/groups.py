@@ -347,6 +347,13 @@ class EventTraining(SettingsGroup):
         """``part``, the length of a section of the readout; 0 for the presentation's share."""
         return self.part
 
+    def find_section_starts(self, step_ms: float) -> tuple:
+        """First step of each section of a presentation, in steps of a length in milliseconds."""
+        n_sections = self.parts or 1
+        section_ms = self.section_ms or 1000 * paper.DURATION_S / n_sections
+        section_steps = section_ms / step_ms
+        return tuple(sorted({round(k * section_steps) for k in range(n_sections)}))
+
 
 @dataclass(frozen=True)
 class Deployment(SettingsGroup):

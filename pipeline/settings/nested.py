@@ -1,5 +1,6 @@
 """Nested values, such as those of a TOML file, by dotted names."""
 
+import difflib
 from typing import Any
 
 from deploy.errors import UserError
@@ -41,6 +42,16 @@ def find_value(values: dict, name: str):
     for key in name.split("."):
         value = value.get(key) if isinstance(value, dict) else None
     return value
+
+
+def suggest_name(name: str, known) -> str:
+    """The words that suggest known names instead of an unknown one.
+
+    They are the dotted names that end with it, or else the most similar one; empty without any.
+    """
+    near = [entry for entry in known if entry.endswith(f".{name}")]
+    near = near or difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {' or '.join(map(repr, near))}?)" if near else ""
 
 
 def merge_values(old: dict, changes: dict) -> dict:

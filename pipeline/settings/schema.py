@@ -6,7 +6,6 @@ A run stores its settings in ``experiment.toml``.
 from __future__ import annotations
 
 import copy
-import difflib
 import functools
 import os
 from dataclasses import asdict, dataclass, field, replace
@@ -37,7 +36,7 @@ from pipeline.settings.groups import (
     SkinSize,
     SplitShares,
 )
-from pipeline.settings.nested import find_value, merge_values, set_nested
+from pipeline.settings.nested import find_value, merge_values, set_nested, suggest_name
 from pipeline.settings.relations import IMPORTED, require_relations
 
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
@@ -111,7 +110,7 @@ class Settings(SettingsGroup):
                 ):
                     raise WrongValue(file, "must be kept; train others in a new RUN")
         except WrongValue as error:
-            raise UserError(f"{origin}: {error}{_suggest_name(error)}") from None
+            raise UserError(f"{origin}: {error}{_suggest_setting(error)}") from None
         named = [name for name in self.flatten() if find_value(changes, name) is not None]
         return settings.with_provenance(self.provenance | dict.fromkeys(named, provenance))
 
@@ -190,16 +189,6 @@ class Settings(SettingsGroup):
         return min(round(1000 * paper.DURATION_S / self.input.step_ms), limits.STEPS)
 
     @property
-    def section_starts(self) -> tuple:
-        """First step of each section of a sample, which has readout weights of its own."""
-        if self.nir.file:
-            return (0,)
-        sections = self.events.parts or 1
-        section_ms = self.events.section_ms or 1000 * paper.DURATION_S / sections
-        steps = section_ms / self.input.step_ms
-        return tuple(sorted({round(k * steps) for k in range(sections)}))
-
-    @property
     def on_events(self) -> bool:
         """True if the input of the chip is events, not images."""
         return INPUTS[self.input.kind] == "frames"
@@ -251,16 +240,11 @@ def is_automatic(name: str, value) -> bool:
     return name in list_automatic_names() and value == find_default(name)
 
 
-def _suggest_name(error):
-    """The known names that end with an unknown one, or else the most similar one."""
+def _suggest_setting(error):
+    """What to give instead of an unknown setting; empty for other errors."""
     if error.problem != "is unknown":
         return ""
-    known = list(Settings().flatten())
-    near = [repr(name) for name in known if name.endswith(f".{error.name}")]
-    near = near or [repr(name) for name in difflib.get_close_matches(error.name, known, n=1)]
-    if not near:
-        return "; 'stmnist settings' lists all"
-    return f" (did you mean {' or '.join(near)}?)"
+    return suggest_name(error.name, Settings().flatten()) or "; 'stmnist settings' lists all"
 
 
 def list_names_in(section: str) -> tuple:

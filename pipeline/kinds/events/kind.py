@@ -108,8 +108,9 @@ class EventsKind(NetworkKind):
         return ("events", "threshold")
 
     def list_shapes(self, name):
-        parsed = parse(self.settings.events.architecture)
-        sections = len(self.settings.section_starts)
+        settings = self.settings
+        parsed = parse(settings.events.architecture)
+        sections = len(settings.events.find_section_starts(settings.input.step_ms))
         return parsed.list_event_weight_shapes(sections) | Estimator.list_shapes(parsed.outputs)
 
     @staticmethod

@@ -100,7 +100,7 @@ class EventDesign:
         values |= {
             "step_ms": inputs.step,
             "limits": SpikeLimits.from_settings(inputs),
-            "section_starts": settings.section_starts,
+            "section_starts": settings.events.find_section_starts(inputs.step_ms),
         }
         del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=alteration)
