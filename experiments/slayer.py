@@ -36,7 +36,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.keras.keras2 import quiet_compiler, tf
 from models.spiking.network import compute_weighted_sums
 from models.spiking.neurons import scan
@@ -127,7 +127,7 @@ class SlayerNetwork:
     def __init__(self, recipe: Slayer, seed: int = 0):
         quiet_compiler()
         self.recipe = recipe
-        self.architecture = parse(recipe.architecture)
+        self.architecture = parse_architecture(recipe.architecture)
         rng = np.random.default_rng(seed)
         self.kernels = []
         for name, shape in self.architecture.weight_shapes.items():

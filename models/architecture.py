@@ -62,7 +62,7 @@ class Architecture:
         object.__setattr__(self, "layers", tuple(self.layers))
         if len(self.input_shape) != 3 or min(self.input_shape) < 1:
             raise ValueError(f"input of shape {self.input_shape}: not (rows, columns, channels)")
-        if not self.layers or not self.layers[-1].output:
+        if not self.layers or not self.layers[-1].is_output:
             raise ValueError("the last layer is not an output")
         shape = self.input_shape
         for layer in self.layers:
@@ -90,14 +90,14 @@ class Architecture:
         numbers: dict = {}
         for layer in self.layers:
             numbers[layer.kind] = numbers.get(layer.kind, 0) + 1
-            names.append("output" if layer.output else f"{layer.kind}{numbers[layer.kind]}")
+            names.append("output" if layer.is_output else f"{layer.kind}{numbers[layer.kind]}")
         return tuple(names)
 
     @property
     def spiking(self) -> dict:
         """The layers with neurons by name, in order: all but pooling and the output."""
         layers = zip(self.names, self.layers, strict=True)
-        return {name: layer for name, layer in layers if layer.has_neurons and not layer.output}
+        return {name: layer for name, layer in layers if layer.has_neurons and not layer.is_output}
 
     @property
     def outputs(self) -> int:
@@ -156,7 +156,7 @@ class Architecture:
         return "-".join(["x".join(map(str, size)), *map(str, self.layers)])
 
 
-def parse(text: str) -> Architecture:
+def parse_architecture(text: str) -> Architecture:
     """Parse the architecture notation; ``str()`` of an architecture is the inverse.
 
     Parameters
@@ -176,7 +176,7 @@ def parse(text: str) -> Architecture:
 
     Examples
     --------
-    >>> parse("10x10x2-12c4s2-64-10o").shapes
+    >>> parse_architecture("10x10x2-12c4s2-64-10o").shapes
     ((10, 10, 2), (4, 4, 12), (64,), (10,))
     """
     tokens = [token.strip() for token in text.replace("×", "x").split("-")]
@@ -276,5 +276,5 @@ def _require_position(layer, input_shape, last):
     """Refuse a layer at a position where its kind is not allowed, by a ValueError."""
     if layer.is_spatial and len(input_shape) == 1:
         raise ValueError(f"is {layer.noun} after a layer without rows and columns")
-    if layer.output and not last:
+    if layer.is_output and not last:
         raise ValueError("is an output layer, which must be the last layer")

@@ -184,7 +184,7 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
     for name, layer in zip(architecture.names, architecture.layers, strict=True):
         if not layer.is_spatial and len(signal.shape) > 2:
             signal = tf.keras.layers.Flatten(name="flatten")(signal)
-        has_neurons = layer.has_neurons and not layer.output
+        has_neurons = layer.has_neurons and not layer.is_output
         signal = layer.make_keras_layer(name, gain(index) if gain and has_neurons else None)(signal)
         if has_neurons:
             neurons = activation(index)

@@ -9,7 +9,7 @@ from deploy.conformance.operations import (
     assert_deployed_operation_conforms,
     assert_same_operation,
 )
-from models.architecture import Architecture, parse
+from models.architecture import Architecture, parse_architecture
 from models.ops import OPERATIONS, Dense, NotatedLayer, Operation
 
 
@@ -54,14 +54,14 @@ def _assert_words(kind_of_layer):
 
 def _assert_notation(operation, input_shape):
     """An architecture with the operation is read as it was written."""
-    output = Dense(3, output=True)
+    output = Dense(3, is_output=True)
     if len(input_shape) == 3:
         architecture = Architecture(input_shape, (operation, output))
     else:  # an architecture has an image as input, and the layer before has its values in a row
         architecture = Architecture((1, 1, 1), (Dense(*input_shape), operation, output))
     text = str(architecture)
     problem = f"the notation {text} is read differently"
-    read = parse(text)
+    read = parse_architecture(text)
     assert read.layers[-2] == operation, problem
     assert str(read) == text, problem
     assert_same_operation(operation, read.layers[-2], input_shape, problem)

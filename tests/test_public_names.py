@@ -50,9 +50,10 @@ def test_files_called_as_our_packages_break_nothing(tmp_path):
         (tmp_path / name).write_text(RAISES)
     done = python(
         "from stmnist import Settings, Recordings, make_plan\n"
-        "from models.architecture import parse\n"
+        "from models.architecture import parse_architecture\n"
         "import models\n"
-        "print(Settings().cnn.architecture, parse('6x6-4c3-5o').outputs, models.__file__)\n",
+        "outputs = parse_architecture('6x6-4c3-5o').outputs\n"
+        "print(Settings().cnn.architecture, outputs, models.__file__)\n",
         tmp_path,
     )
     assert done.returncode == 0, done.stderr

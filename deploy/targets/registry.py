@@ -10,7 +10,7 @@ To add a target:
    targets have an option of the same name.
 3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.  A
    package of yours calls :func:`register_target` instead, in a plugin (:mod:`deploy.plugins`).
-4. Set ``in_ladder`` if every ladder should have a row of it.
+4. Set ``is_in_ladder`` if every ladder should have a row of it.
 5. Set ``refuses_unfit_itself`` if the function raises a `UserError` for a network that the chip's
    integers cannot hold; otherwise such a network is refused before the function is called.
 6. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
@@ -87,7 +87,7 @@ class Target:
         :data:`ROUNDED`, or more if it rounds more.  Not read if it is exact.  A target that
         computes in real numbers should state :data:`REAL_NUMBERS`: sums over many steps are
         compared, so outputs that are a few steps late pass with the default.
-    in_ladder : bool
+    is_in_ladder : bool
         True if every ladder has a row of it, that of a board if there is one; see
         :func:`list_ladder_targets`.
     options : type or None
@@ -106,7 +106,7 @@ class Target:
     needs_board: bool = False
     is_exact: bool = False
     tolerance: float = ROUNDED
-    in_ladder: bool = False
+    is_in_ladder: bool = False
     options: Optional[Type[Options]] = None
     describe: Optional[Callable] = None
 
@@ -130,7 +130,7 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("simulators", "run_nengo"),
             title="Nengo's reference simulator",
             is_slow=True,
-            in_ladder=True,
+            is_in_ladder=True,
         ),
         Target(
             name="simreal",
@@ -138,7 +138,7 @@ TARGETS: Dict[str, Target] = {
             title="Loihi's network before rounding",
             tolerance=REAL_NUMBERS,
             is_slow=True,
-            in_ladder=True,
+            is_in_ladder=True,
         ),
         Target(
             name="emulator",
@@ -147,7 +147,7 @@ TARGETS: Dict[str, Target] = {
             is_slow=True,
             refuses_unfit_itself=True,
             is_exact=True,
-            in_ladder=True,
+            is_in_ladder=True,
         ),
         Target(
             name="fast",
@@ -163,7 +163,7 @@ TARGETS: Dict[str, Target] = {
             title="Loihi 1 through NxSDK",
             refuses_unfit_itself=True,
             needs_board=True,
-            in_ladder=True,
+            is_in_ladder=True,
             options=BoardOptions,
             describe=import_when_called("board", "summarise_notes"),
         ),
@@ -192,7 +192,7 @@ def list_ladder_targets() -> Tuple[str, ...]:
     Simulators come first, then exact targets, then boards.  The last one with a result is the
     deployed network of the ladder and the report.
     """
-    targets = [target for target in TARGETS.values() if target.in_ladder]
+    targets = [target for target in TARGETS.values() if target.is_in_ladder]
     targets.sort(key=lambda target: (target.needs_board, target.is_exact))  # a stable sort
     return tuple(target.name for target in targets)
 

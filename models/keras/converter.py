@@ -165,7 +165,7 @@ class LayerConverter:
         return self._make_model(activation)
 
     def _make_model(self, end):
-        layers = (*self.layers[:-1], replace(self.layers[-1], output=True))
+        layers = (*self.layers[:-1], replace(self.layers[-1], is_output=True))
         architecture = Architecture(self.input_shape, layers)
         names = architecture.names
         weighted = [name for name, layer in zip(names, layers, strict=True) if layer.has_neurons]

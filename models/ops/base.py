@@ -68,7 +68,7 @@ class NotatedLayer:
         Notations that `token` matches, for messages, such as ``("6c4", "6c4s2")``.
     has_neurons : bool
         True if neurons follow, unless the layer is the output.
-    output : bool
+    is_output : bool
         True for the output layer.
     """
 
@@ -77,7 +77,7 @@ class NotatedLayer:
     noun: ClassVar[str] = "a layer"
     examples: ClassVar[tuple] = ()
     has_neurons: ClassVar[bool] = True
-    output: bool = False
+    is_output: bool = False
 
     @classmethod
     def from_token(cls, match: re.Match):

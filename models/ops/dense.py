@@ -19,11 +19,11 @@ class Dense(Operation, DeployedDense):
     Attributes
     ----------
     units : int
-    output : bool
+    is_output : bool
         True for the output layer of the network.
     """
 
-    output: bool = False
+    is_output: bool = False
     token = re.compile(f"{NUMBER}(o?)")
     noun = "a hidden dense layer"
     examples = ("64",)
@@ -34,7 +34,7 @@ class Dense(Operation, DeployedDense):
 
     @classmethod
     def from_token(cls, match):
-        return cls(int(match[1]), output=bool(match[2]))
+        return cls(int(match[1]), is_output=bool(match[2]))
 
     def compute_kernel_shape(self, pooled_shape):
         return (math.prod(pooled_shape), self.units)
@@ -68,4 +68,4 @@ class Dense(Operation, DeployedDense):
         return values.reshape(len(values), -1)
 
     def __str__(self):
-        return f"{self.units}{'o' * self.output}"
+        return f"{self.units}{'o' * self.is_output}"

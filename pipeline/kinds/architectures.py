@@ -10,7 +10,7 @@ from deploy.network.layer import Neurons
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.chain import build_network_spec, make_links
 from pipeline.recordings.sensor import MIN_GRID_SIDE, Sensor, describe_size
 from pipeline.settings import Deployment
@@ -76,14 +76,14 @@ def describe_choice(section: str, architecture: str, sensor: Sensor) -> str:
 
 def is_for_sensor(architecture: str, sensor: Sensor, n_channels: int) -> bool:
     """True if an architecture has the sensor's input size and as many outputs as classes."""
-    parsed = parse(architecture)
+    parsed = parse_architecture(architecture)
     shape = (sensor.rows, sensor.columns, n_channels)
     return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
 
 
 def count_operations_of_event(architecture: str) -> float:
     """Synaptic operations of the first layer that an event causes, on average."""
-    parsed = parse(architecture)
+    parsed = parse_architecture(architecture)
     return float(np.mean(parsed.layers[0].count_fan_out(parsed.input_shape)))
 
 
@@ -135,7 +135,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
     deployment : pipeline.settings.groups.Deployment
     """
     rng = np.random.default_rng(0)
-    links = make_links(parse(text))
+    links = make_links(parse_architecture(text))
     on_host = on_events or deployment.readout == "host"
     chain = [
         replace(

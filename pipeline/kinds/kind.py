@@ -13,7 +13,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.architectures import (
     is_for_sensor,
     list_chip_problems,
@@ -224,7 +224,7 @@ class NetworkKind:
         if is_for_sensor(self.architecture, sensor, self.channels):
             return
         size = f"{sensor.rows}x{sensor.columns}x{self.channels}"
-        parsed = parse(self.architecture)
+        parsed = parse_architecture(self.architecture)
         if self.imported is not None:
             input_size = "x".join(map(str, parsed.input_shape))
             remedy = suggest_sensor_size(parsed.input_shape[:2], (sensor.rows, sensor.columns))

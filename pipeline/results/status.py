@@ -92,7 +92,7 @@ def list_states(run: RunFolder, adapted: bool = False) -> list:
 def list_targets_checked_alone() -> tuple:
     """Names of the targets of the check that the ladder does not run, with those of plugins."""
     return tuple(
-        name for name, target in TARGETS.items() if target.needs_board or not target.in_ladder
+        name for name, target in TARGETS.items() if target.needs_board or not target.is_in_ladder
     )
 
 

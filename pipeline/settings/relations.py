@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from deploy import limits
 from deploy.loading import WrongValue
-from models.architecture import NotationError, parse
+from models.architecture import NotationError, parse_architecture
 from pipeline.settings.groups import MAX_TAU_MS
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _require_time_constants(settings, n_layers):
 def _parse_architecture(architecture, name):
     """The network of a notation, which is valid and not too large."""
     try:
-        parsed = parse(architecture)
+        parsed = parse_architecture(architecture)
     except NotationError as error:
         raise WrongValue(name, f"is not a network: {error}") from error
     weights = sum(map(math.prod, parsed.weight_shapes.values()))

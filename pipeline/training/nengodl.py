@@ -18,7 +18,7 @@ import nengo
 import numpy as np
 
 import deploy.network.loihi_import  # noqa: F401 - puts back what Nengo needs of NumPy 1
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.cnn import build_cnn, find_gain, set_weights
 from models.keras.keras2 import tf
 from models.keras.operation_layer import OperationLayer
@@ -200,7 +200,7 @@ def predict(settings: Settings, weights: dict, images, n_steps: int) -> np.ndarr
 def _convert(settings, weights, neuron_type, synapse):
     """Convert the network to a type of neurons; returns converter, input node and output probe."""
     snn = settings.snn
-    architecture = parse(settings.cnn.architecture)
+    architecture = parse_architecture(settings.cnn.architecture)
     gains = {
         name: find_gain(snn.get_max_rate(index), snn.tau_rc, snn.tau_ref)
         for index, name in enumerate(architecture.spiking)

@@ -7,26 +7,26 @@ from models.architecture import (
     MAX_LAYERS,
     Architecture,
     NotationError,
-    parse,
+    parse_architecture,
 )
 from models.ops import Convolution, Dense, Pooling
 
 
 def test_the_papers_networks():
-    cnn = parse("10x10-6c4-24c3-10o")
+    cnn = parse_architecture("10x10-6c4-24c3-10o")
     assert cnn == Architecture(
-        (10, 10, 1), (Convolution(6, 4), Convolution(24, 3), Dense(10, output=True))
+        (10, 10, 1), (Convolution(6, 4), Convolution(24, 3), Dense(10, is_output=True))
     )
     assert cnn.shapes == ((10, 10, 1), (7, 7, 6), (5, 5, 24), (10,))
     assert cnn.names == ("conv1", "conv2", "output")
     assert cnn.layers[:2] == (Convolution(6, 4), Convolution(24, 3))
     assert cnn.outputs == 10
-    slayer = parse("10x10x2-6c2-24c3-10o")
+    slayer = parse_architecture("10x10x2-6c2-24c3-10o")
     assert slayer.shapes == ((10, 10, 2), (9, 9, 6), (7, 7, 24), (10,))
 
 
 def test_what_the_papers_network_costs_by_hand():
-    cnn = parse("10x10-6c4-24c3-10o")
+    cnn = parse_architecture("10x10-6c4-24c3-10o")
     assert cnn.n_values == {"conv1": 294, "conv2": 600, "output": 10}
     # 49 positions x 16 x 6, 25 positions x 9 x 6 x 24, 600 x 10
     assert cnn.multiply_accumulates == {"conv1": 4704, "conv2": 32400, "output": 6000}
@@ -35,25 +35,25 @@ def test_what_the_papers_network_costs_by_hand():
 
 
 def test_a_notation_with_every_operation():
-    network = parse("10x10x2-12c4s2p-2a-64-10o")
+    network = parse_architecture("10x10x2-12c4s2p-2a-64-10o")
     assert network.layers == (
         Convolution(12, 4, 2, "same"),
         Pooling(2),
         Dense(64),
-        Dense(10, output=True),
+        Dense(10, is_output=True),
     )
     assert network.shapes == ((10, 10, 2), (5, 5, 12), (2, 2, 12), (64,), (10,))
     assert network.names == ("conv1", "pool1", "dense1", "output")
 
 
 def test_layers_are_numbered_by_operation():
-    assert parse("10x10-2c3-2a-2c2-2a-4-5-3o").names == (
+    assert parse_architecture("10x10-2c3-2a-2c2-2a-4-5-3o").names == (
         "conv1", "pool1", "conv2", "pool2", "dense1", "dense2", "output",
     )  # fmt: skip
 
 
 def test_weights_by_hand():
-    assert parse("10x10x2-12c4s2-64-10o").weight_shapes == {
+    assert parse_architecture("10x10x2-12c4s2-64-10o").weight_shapes == {
         "conv1.kernel": (4, 4, 2, 12),
         "conv1.bias": (12,),
         "dense1.kernel": (192, 64),
@@ -61,7 +61,10 @@ def test_weights_by_hand():
         "output.kernel": (64, 10),
         "output.bias": (10,),
     }
-    assert list(parse("10x10-2a-10o").weight_shapes) == ["output.kernel", "output.bias"]
+    assert list(parse_architecture("10x10-2a-10o").weight_shapes) == [
+        "output.kernel",
+        "output.bias",
+    ]
 
 
 def test_same_padding_puts_what_is_odd_at_the_end():
@@ -155,7 +158,7 @@ def test_pooling_is_tensorflows(size):
 )
 def test_an_error_names_its_token(text, token, fact):
     with pytest.raises(NotationError) as caught:
-        parse(text)
+        parse_architecture(text)
     assert token in str(caught.value)
     assert fact in str(caught.value)
     assert len(str(caught.value)) < 400
@@ -164,12 +167,12 @@ def test_an_error_names_its_token(text, token, fact):
 @pytest.mark.parametrize(
     ("shape", "layers", "fact"),
     [
-        ((10, 10), (Dense(2, output=True),), r"\(10, 10\).*\(rows, columns, channels\)"),
+        ((10, 10), (Dense(2, is_output=True),), r"\(10, 10\).*\(rows, columns, channels\)"),
         ((10, 10, 1), (), "output"),
         ((10, 10, 1), (Dense(4),), "output"),
-        ((10, 10, 1), (Dense(4), Pooling(2), Dense(2, output=True)), "rows and columns"),
-        ((10, 10, 1), (Dense(4, output=True), Dense(2, output=True)), "output"),
-        ((2, 2, 1), (Convolution(1, 3), Dense(2, output=True)), "2x2"),
+        ((10, 10, 1), (Dense(4), Pooling(2), Dense(2, is_output=True)), "rows and columns"),
+        ((10, 10, 1), (Dense(4, is_output=True), Dense(2, is_output=True)), "output"),
+        ((2, 2, 1), (Convolution(1, 3), Dense(2, is_output=True)), "2x2"),
     ],
 )
 def test_an_impossible_architecture_is_refused(shape, layers, fact):
@@ -194,10 +197,10 @@ convolutions = st.builds(
 )
 def test_writing_and_reading_gives_the_same(size, spatial, dense, outputs):
     try:
-        architecture = Architecture(size, (*spatial, *dense, Dense(outputs, output=True)))
+        architecture = Architecture(size, (*spatial, *dense, Dense(outputs, is_output=True)))
     except ValueError:
         assume(False)
-    assert parse(str(architecture)) == architecture
+    assert parse_architecture(str(architecture)) == architecture
     assert len(architecture.names) == len(set(architecture.names)) == len(architecture.layers)
     for shape in architecture.shapes:
         assert min(shape) >= 1

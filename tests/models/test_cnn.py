@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.chain import make_links
 from models.cnn import (
     RateLIF,
@@ -16,7 +16,7 @@ from models.cnn import (
 from models.keras.keras2 import tf
 from models.ops import Dense
 
-PAPER = parse("10x10-6c4-24c3-10o")
+PAPER = parse_architecture("10x10-6c4-24c3-10o")
 
 
 def test_the_papers_network_has_the_notations_weights():
@@ -53,7 +53,7 @@ def test_weights_round_trip():
 
 def test_the_network_against_numpy():
     rng = np.random.default_rng(1)
-    small = parse("4x4-2c3-3o")
+    small = parse_architecture("4x4-2c3-3o")
     weights = {name: rng.normal(size=shape) for name, shape in small.weight_shapes.items()}
     model = build_cnn(small)
     set_weights(model, weights)
@@ -84,7 +84,7 @@ def test_weights_that_do_not_fit_are_named(change):
 
 def test_strides_padding_pooling_and_dense_layers_against_numpy():
     rng = np.random.default_rng(2)
-    architecture = parse("7x6x2-3c3s2p-2a-5-4o")
+    architecture = parse_architecture("7x6x2-3c3s2p-2a-5-4o")
     assert architecture.shapes == ((7, 6, 2), (4, 3, 3), (2, 1, 3), (5,), (4,))
     weights = {name: rng.normal(size=shape) for name, shape in architecture.weight_shapes.items()}
     model = build_cnn(architecture)
@@ -109,7 +109,9 @@ def test_strides_padding_pooling_and_dense_layers_against_numpy():
 def test_noise_is_added_to_what_the_neurons_receive():
     """By hand, layer by layer; a model that is called adds none of its own."""
     noises = [0.2, 0.0, 0.5]
-    model = build_cnn(parse("6x6-3c3-4c2-5-2o"), lambda index: RateLIF(150.0, noise=noises[index]))
+    model = build_cnn(
+        parse_architecture("6x6-3c3-4c2-5-2o"), lambda index: RateLIF(150.0, noise=noises[index])
+    )
     assert [layer.name for layer in list_noisy_layers(model)] == ["conv1_neurons", "dense1_neurons"]
     rng = np.random.default_rng(0)
     images = rng.uniform(size=(4, 6, 6, 1)).astype(np.float32)

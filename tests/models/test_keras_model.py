@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.cnn import build_cnn, compute_logits, set_weights
 from models.keras.files import ModelFileError
 from models.keras.keras2 import tf
@@ -144,7 +144,7 @@ def read_images(path, own):
 @pytest.mark.parametrize("name", {**GOOD, **EXACT, **REPLACED})
 def test_the_same_function(files, which, name):
     own = read_keras(files[which] / f"{name}.{SUFFIXES[which]}", retrain=name in REPLACED)
-    assert own.architecture == parse({**GOOD, **EXACT, **REPLACED}[name])
+    assert own.architecture == parse_architecture({**GOOD, **EXACT, **REPLACED}[name])
     assert bool(own.replaced) == (name in REPLACED)
     images, outputs = read_images(files[which] / name, own)
     of_file = own.compute_outputs(images)
@@ -165,7 +165,7 @@ def test_the_same_function(files, which, name):
 def test_the_other_format_of_each_keras(files, file):
     which, name = file.split("/")
     own = read_keras(files[which] / name)
-    assert own.architecture == parse(GOOD[name.partition(".")[0]])
+    assert own.architecture == parse_architecture(GOOD[name.partition(".")[0]])
 
 
 @pytest.mark.parametrize("which", SUFFIXES)
@@ -187,7 +187,7 @@ def test_a_sequence_as_a_list(tmp_path, files):
         config["config"] = layers
         file.attrs["model_config"] = np.bytes_(json.dumps(config))
         file.attrs["keras_version"] = np.bytes_("2.1.6")
-    assert read_keras(path).architecture == parse(GOOD["paper"])
+    assert read_keras(path).architecture == parse_architecture(GOOD["paper"])
 
 
 def test_what_was_folded_or_left_out_is_said(files):
@@ -268,7 +268,7 @@ def test_a_file_of_keras_1(tmp_path, files):
             weights[name].attrs["weight_names"] = np.array([f"{name}_W", f"{name}_b"], "S")
             weights[name][f"{name}_W"], weights[name][f"{name}_b"] = kernel, bias
     own, same = read_keras(path), read_keras(files["keras2"] / "keras_1.h5")
-    assert own.architecture == same.architecture == parse("8x8-4c3s2-3o")
+    assert own.architecture == same.architecture == parse_architecture("8x8-4c3s2-3o")
     for name, array in same.weights.items():
         np.testing.assert_array_equal(own.weights[name], array)
 
@@ -293,7 +293,7 @@ def test_batch_normalisation_by_hand():
     flat = KerasLayer("Flatten", "f", {}, (), lambda values: values.reshape(1, -1))
     end = KerasLayer("Dense", "o", {"units": 2}, (np.eye(2),))
     own = convert_layers((1, 2, 1), (conv, norm, relu, flat, end))
-    assert own.architecture == parse("1x2-1c1p-2o")
+    assert own.architecture == parse_architecture("1x2-1c1p-2o")
     assert own.weights["conv1.kernel"].ravel().tolist() == [3.0]
     assert own.weights["conv1.bias"].tolist() == [-3.0]
     assert own.weights["output.bias"].tolist() == [0.0, 0.0]

@@ -4,7 +4,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from deploy.network.chip import LOIHI
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.integers import Integers
 from models.keras.keras2 import tf
 from models.spiking.network import (
@@ -30,7 +30,7 @@ def network_of(text, seed=0, biases=0.1, scale=2.5, neuron=None):
     """A network of random weights that spikes."""
     rng = np.random.default_rng(seed)
     neuron = neuron or Neuron(tau_u=(2.0, 5.0), tau_v=(4.0, 20.0))
-    network = SpikingNetwork(parse(text), neuron, seed)
+    network = SpikingNetwork(parse_architecture(text), neuron, seed)
     weights = network.get_weights()
     for name in network.names:
         weights[f"{name}.kernel"] *= scale
@@ -62,7 +62,9 @@ def test_the_forward_pass_is_the_integers_of_plain_numpy(text):
 
 
 def test_each_section_of_a_sample_has_its_output_weights():
-    network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, section_starts=(0, 20, 33))
+    network = SpikingNetwork(
+        parse_architecture("6x6x1-20-12-3o"), seed=3, section_starts=(0, 20, 33)
+    )
     weights = network.get_weights()
     for name in network.names:
         weights[f"{name}.kernel"] *= 2.5
@@ -114,7 +116,7 @@ def test_nengoloihi_comes_to_any_integers(
     bias = largest_bias * np.array([1, -1, 0, 1])
     layer = Integers(weights, bias, threshold * 64, 1 - 2**floor, keep_u_4096ths, keep_v_4096ths)
     # One output neuron a position, so that it is one block.
-    architecture = parse("5x5x2-4c3-10o")
+    architecture = parse_architecture("5x5x2-4c3-10o")
     _, (block,) = emulate(architecture, {"conv1": layer}, np.zeros((1, 5, 5, 2), np.uint8))
     compartment = block.compartment
     assert set(compartment.vth) == {layer.threshold}
@@ -137,7 +139,7 @@ def test_gradients_through_time_are_those_of_plain_numpy(floor):
         1 - 2 ** round(np.log2(1 - floor * 12800)), 2800, 3700,
     )  # fmt: skip
     frames = (rng.random((steps, 1, 1, 8)) < 0.3).astype(np.uint8)
-    architecture = parse(f"1x1x8-{n}-2o")
+    architecture = parse_architecture(f"1x1x8-{n}-2o")
     spikes, u, v = spiking_in_numpy.run(architecture.layers[0], layer, frames)
     assert 5 < spikes.sum() < 0.7 * spikes.size
     assert np.any(v <= layer.floor) == (floor == -0.1)

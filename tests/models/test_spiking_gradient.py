@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models import ops
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.keras.keras2 import tf
 from models.spiking.gradient import Batch, SpikingGradient
 from models.spiking.network import SpikingNetwork, count_operations
@@ -83,7 +83,9 @@ def test_outputs_are_those_of_tensorflow(text):
 
 
 def test_sections_of_the_readout():
-    network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, section_starts=(0, 10, 23))
+    network = SpikingNetwork(
+        parse_architecture("6x6x1-20-12-3o"), seed=3, section_starts=(0, 10, 23)
+    )
     for name in network.names:
         kernel = network.variables_by_name[f"{name}.kernel"]
         kernel.assign(2.5 * kernel)

@@ -10,7 +10,7 @@ from deploy.network.responses import compute_responses
 from deploy.network.spec import NetworkSpec
 from deploy.tables import format_count
 from models import chain
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.integers import from_integers
 from pipeline.kinds import counts
 from pipeline.kinds.events.choices import EventChoices
@@ -109,7 +109,7 @@ class EventsKind(NetworkKind):
 
     def list_shapes(self, name):
         settings = self.settings
-        parsed = parse(settings.events.architecture)
+        parsed = parse_architecture(settings.events.architecture)
         sections = len(settings.events.find_section_starts(settings.input.step_ms))
         return parsed.list_event_weight_shapes(sections) | Estimator.list_shapes(parsed.outputs)
 
@@ -205,7 +205,7 @@ def make_event_spec(
     """
     from pipeline.training.events import build_network  # imports TensorFlow
 
-    architecture = parse(design.architecture)
+    architecture = parse_architecture(design.architecture)
     integers = build_network(design, weights).compute_integers()
     links = from_integers(architecture, weights, integers, design.section_starts)
     is_early = presentation.threshold_or_1 < 1

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from deploy.errors import UserError
 from deploy.tables import format_count
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.architectures import describe_choice, is_for_sensor, suggest_architecture
 from pipeline.kinds.presentation import choose_image_gap
 from pipeline.recordings.recordings import Recordings
@@ -95,7 +95,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     is_strip = not sensor.is_grid
     defaults = STRIP_DEFAULTS if is_strip else GRID_DEFAULTS
     is_own = bool(cnn.model) or not settings.is_open("cnn.architecture")
-    own_channels = parse(cnn.architecture).input_shape[2] if is_own else None
+    own_channels = parse_architecture(cnn.architecture).input_shape[2] if is_own else None
     is_sliced = settings.input.kind == "slices" or (
         # One image of a strip has hardly any shapes, so that time is needed to tell classes apart.
         is_strip
@@ -152,7 +152,7 @@ def _choose_learning_rate(settings):
     is_trained_further = bool(settings.cnn.model) and settings.snn.recipe == "loihi"
     if not is_trained_further or not settings.is_open("snn.learning_rate"):
         return []
-    shapes = parse(settings.cnn.architecture).weight_shapes
+    shapes = parse_architecture(settings.cnn.architecture).weight_shapes
     kernels = [shape for name, shape in shapes.items() if name.endswith(".kernel")]
     inputs = max(math.prod(shape[:-1]) for shape in kernels)
     if inputs <= MAX_INPUTS_AT_FULL_RATE:
@@ -224,7 +224,7 @@ def _make_architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, n_chan
 def _require_rates_fit(settings, architecture):
     """Refuse more of the user's rates than the chosen network has layers of neurons."""
     rates = settings.snn.max_rates
-    layers = len(parse(architecture).spiking)
+    layers = len(parse_architecture(architecture).spiking)
     if len(rates) > layers:
         raise UserError(
             f"'snn.max_rates' has {len(rates)} rates, and {architecture}, chosen for the "

@@ -9,7 +9,7 @@ from deploy.arithmetic import select_evenly
 from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import hash_file
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.keras.model import KerasModel
 from models.keras.reader import read_keras
 from pipeline.kinds.imported import find_imported_file
@@ -96,7 +96,7 @@ def read_model(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     copy = name_copied_model(folder, settings)
     path = find_imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
     retrain = settings.snn.recipe == "loihi"
-    shape = parse(settings.cnn.architecture).input_shape
+    shape = parse_architecture(settings.cnn.architecture).input_shape
     model = read_keras(path, retrain, shape)
     if model.input_scale != 1:
         without = read_keras(path, retrain, shape, pixels=False)

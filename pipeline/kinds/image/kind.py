@@ -5,7 +5,7 @@ from dataclasses import asdict
 from deploy.arithmetic import select_evenly
 from deploy.tables import format_count
 from deploy.targets.fast import measure_firing_rates
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds import counts
 from pipeline.kinds.architectures import plan_untrained
 from pipeline.kinds.diagnosis import compare_rates
@@ -165,7 +165,7 @@ class ImageKind(NetworkKind):
         return ImportedNetwork(cnn.model, cnn.model_sha256, "cnn", GIVE_MODEL_AGAIN)
 
     def list_shapes(self, name):
-        return parse(self.settings.cnn.architecture).weight_shapes
+        return parse_architecture(self.settings.cnn.architecture).weight_shapes
 
     def make_spec(self, inputs, provenance):
         # A damaged CNN is found now, not when its predictions are compared.

@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 from deploy.network.spec import NetworkSpec
 from models import chain
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.recordings.dataset import require_images_fit
 from pipeline.settings import Settings
 
@@ -41,7 +41,7 @@ def make_image_spec(
     settings: Settings, weights: dict, provenance: dict, training_logits=None
 ) -> NetworkSpec:
     """As :func:`make_network_spec`, with :func:`models.chain.from_rates`'s ``training_logits``."""
-    architecture = parse(settings.cnn.architecture)
+    architecture = parse_architecture(settings.cnn.architecture)
     synapse = settings.deployment.synapse_s
     links = chain.from_rates(architecture, weights, settings.snn, synapse, training_logits)
     provenance = {"image": asdict(settings.image), **provenance}  # for other recordings

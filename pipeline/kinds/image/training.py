@@ -1,7 +1,7 @@
 """The steps of a run on images: its CNNs and its rate-LIF network are trained."""
 
 from deploy.files import copy_file
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.diagnosis import compute_fastest_rate, describe_neurons, measure_activity
 from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.image.keras_model import name_copied_model, read_usable_model
@@ -51,7 +51,7 @@ def make_rate_network(inputs, artifact) -> dict:
 
     trained, metrics = _train_further("rate-lif", train_rate_network, inputs, artifact)
     images, _ = inputs.dataset.subset("train")
-    measured = select_measured(images, parse(inputs.settings.cnn.architecture))
+    measured = select_measured(images, parse_architecture(inputs.settings.cnn.architecture))
     metrics["neurons"] = _measure_activity(inputs.settings, trained, measured)
     inputs.say(describe_accuracy("rate-lif", metrics))
     if len(measured) < len(images):

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from deploy.network.stimulus import EventFrames
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.spiking.network import Neuron, SpikingNetwork
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter_events
 from pipeline.recordings.columns import EventColumns
@@ -130,4 +130,6 @@ class EventDesign:
 
     def make_network(self, seed: int = 0) -> SpikingNetwork:
         """The network with its initial weights."""
-        return SpikingNetwork(parse(self.architecture), self.neuron, seed, self.section_starts)
+        return SpikingNetwork(
+            parse_architecture(self.architecture), self.neuron, seed, self.section_starts
+        )

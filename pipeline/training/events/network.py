@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.network.decision import Estimator, Threshold, choose_threshold, delay_outputs
 from deploy.network.stimulus import find_last_steps
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.keras.keras2 import tf
 from models.spiking.network import SpikingNetwork, count_operations
 from pipeline.settings import Settings
@@ -53,7 +53,9 @@ class TrainedOnEvents:
     @property
     def estimator(self) -> Estimator:
         """The confidence estimator."""
-        return Estimator.from_arrays(self.weights, parse(self.design.architecture).outputs)
+        return Estimator.from_arrays(
+            self.weights, parse_architecture(self.design.architecture).outputs
+        )
 
     def choose_threshold(
         self, table, labels, held_out, n_steps: int, seed: int, loss: float
@@ -172,7 +174,7 @@ def delay_as_on_chip(outputs, design: EventDesign) -> np.ndarray:
     -------
     ndarray of the same shape
     """
-    return delay_outputs(outputs, len(parse(design.architecture).spiking) + 1)
+    return delay_outputs(outputs, len(parse_architecture(design.architecture).spiking) + 1)
 
 
 def _compile(design):
@@ -183,7 +185,9 @@ def _compile(design):
 @functools.lru_cache(maxsize=8)
 def _compile_network(architecture, neuron, section_starts):
     # For any weights: networks of the same shape share one compilation, which takes seconds.
-    network = SpikingNetwork(parse(architecture), neuron, section_starts=section_starts)
+    network = SpikingNetwork(
+        parse_architecture(architecture), neuron, section_starts=section_starts
+    )
     variables = {
         name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
     }

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from deploy.arithmetic import divide_up
 from deploy.errors import UserError
 from deploy.network.stimulus import find_last_steps
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.spiking.gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
 from pipeline.training.event_samples import EventSamples
@@ -117,7 +117,7 @@ class Trainer:
         self.batches = divide_up(len(samples.train), design.batch_size)
         self._network = design.make_network(seed)
         self._gradient = SpikingGradient(
-            parse(design.architecture), design.neuron, design.section_starts
+            parse_architecture(design.architecture), design.neuron, design.section_starts
         )
         variables = self._network.variables_by_name.items()
         values = {name: variable.numpy() for name, variable in variables}

@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.network.chip import DT
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.chain import make_links
 from models.cnn import (
     RateLIF,
@@ -67,7 +67,7 @@ class TrainedCNN(TrainedNetwork):
     @staticmethod
     def build(settings: Settings) -> tf.keras.Model:
         """Build the network without its trained weights."""
-        return build_cnn(parse(settings.cnn.architecture))
+        return build_cnn(parse_architecture(settings.cnn.architecture))
 
 
 class TrainedRates(TrainedNetwork):
@@ -82,7 +82,7 @@ class TrainedRates(TrainedNetwork):
 def build_rate_network(settings: Settings) -> tf.keras.Model:
     """Build the network with rate-LIF neurons, as ``snn.recipe`` defines it."""
     snn = settings.snn
-    architecture = parse(settings.cnn.architecture)
+    architecture = parse_architecture(settings.cnn.architecture)
     on_chip = snn.is_on_chip
     is_noisy = snn.recipe == "loihi"
     costs = None

@@ -3,7 +3,7 @@
 import numpy as np
 
 from deploy.arithmetic import select_evenly
-from models.architecture import Architecture, parse
+from models.architecture import Architecture, parse_architecture
 from models.cnn import RateLIF
 from pipeline.settings import Settings
 from pipeline.training.images.networks import TrainedCNN
@@ -53,7 +53,7 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     """
     scaled = dict(weights)
     previous_scale = 1.0
-    measured = select_measured(images, parse(settings.cnn.architecture))
+    measured = select_measured(images, parse_architecture(settings.cnn.architecture))
     for name, output in TrainedCNN(settings, weights).compute_activations(measured).items():
         scale = _find_reach(output)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (previous_scale / scale)
@@ -95,7 +95,7 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     snn = settings.snn
     fitted = dict(weights)
     previous_scale = 1.0
-    measured = select_measured(images, parse(settings.cnn.architecture))
+    measured = select_measured(images, parse_architecture(settings.cnn.architecture))
     outputs = TrainedCNN(settings, weights).compute_activations(measured)
     for index, (name, output) in enumerate(outputs.items()):
         scale = _find_reach(output)

@@ -1,6 +1,6 @@
 """Train the paper's CNN, and the same network with rate-LIF neurons."""
 
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.cnn import build_cnn, get_weights, make_relu, set_weights
 from models.keras.keras2 import tf
 from pipeline.settings import Settings
@@ -60,7 +60,8 @@ def train_matched(
     make_deterministic(seed)
     snn = settings.snn
     model = build_cnn(
-        parse(settings.cnn.architecture), lambda index: make_relu(snn.noise, snn.dropout)
+        parse_architecture(settings.cnn.architecture),
+        lambda index: make_relu(snn.noise, snn.dropout),
     )
     set_weights(model, scale_to_unit(settings, cnn_weights, samples.images))
     schedule = make_snn_schedule(snn, len(samples))

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.image.spec import make_network_spec
 from pipeline.settings import Settings
 from tests.command import call, missing
 
 WEIGHTS = {
     name: np.zeros(shape, np.float32)
-    for name, shape in parse(Settings().cnn.architecture).weight_shapes.items()
+    for name, shape in parse_architecture(Settings().cnn.architecture).weight_shapes.items()
 }
 
 

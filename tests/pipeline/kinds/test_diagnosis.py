@@ -11,7 +11,7 @@ from deploy.check.run import run_check
 from deploy.conformance.networks import make_image_network
 from deploy.files import read_json
 from deploy.targets.fast import measure_firing_rates
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.diagnosis import (
     compare_layer,
     compare_rates,
@@ -121,7 +121,7 @@ def test_a_large_networks_rates_are_compared_on_fewer_samples(run, monkeypatch):
 
 def test_a_large_networks_activations_are_measured_on_fewer_samples(monkeypatch):
     images = np.zeros((2000, 10, 10, 1))
-    assert len(select_measured(images, parse("10x10-6c4-24c3-10o"))) == 2000
-    wide = parse("10x10-64c3p-128c3p-10o")
+    assert len(select_measured(images, parse_architecture("10x10-6c4-24c3-10o"))) == 2000
+    wide = parse_architecture("10x10-64c3p-128c3p-10o")
     monkeypatch.setattr(rescaling, "MAX_MEASURED_ACTIVATIONS", 100 * sum(wide.n_values.values()))
     assert len(select_measured(images, wide)) == 100

@@ -8,7 +8,7 @@ from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.spiking.network import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import make_event_spec
 from pipeline.settings import Settings
@@ -21,7 +21,7 @@ STEPS, GAP = 40, 60
 def trained_like(architecture, seed=0, section_starts=(0,)):
     """Random weights with which all layers spike."""
     neuron = Neuron((1.5, 3.0), (3.0, 5.0))
-    network = SpikingNetwork(parse(architecture), neuron, seed, section_starts)
+    network = SpikingNetwork(parse_architecture(architecture), neuron, seed, section_starts)
     weights = network.get_weights()
     for name in network.names:
         weights[f"{name}.kernel"] *= 2.5

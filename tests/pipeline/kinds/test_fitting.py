@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import SeveralErrors, UserError
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.architectures import suggest_architecture
 from pipeline.kinds.events.sizes import SIZES as NETWORK_SIZES
 from pipeline.kinds.events.sizes import suggest_event_architecture
@@ -40,7 +40,7 @@ SIZES = [
 def test_there_is_an_architecture_for_every_sensor(size, on_events):
     for n in (2, 300):
         sensor = Sensor(*size, classes=tuple(map(str, range(n))))
-        architecture = parse(suggest_architecture(sensor, on_events))
+        architecture = parse_architecture(suggest_architecture(sensor, on_events))
         assert architecture.input_shape == (*size, 2 if on_events else 1)
         assert architecture.outputs == n
         assert len(architecture.layers) >= 2
@@ -206,7 +206,11 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
 def test_an_architecture_for_every_size(size, expected):
     assert suggest_event_architecture(Sensor(), NETWORK_SIZES[size], 5000) == expected
     strip = Sensor(1, 39, classes=CLASSES)
-    few = parse(suggest_event_architecture(strip, NETWORK_SIZES[size], 500)).layers[0].units
+    few = (
+        parse_architecture(suggest_event_architecture(strip, NETWORK_SIZES[size], 500))
+        .layers[0]
+        .units
+    )
     assert few == {"small": 128, "standard": 256, "large": 384}[size]
 
 

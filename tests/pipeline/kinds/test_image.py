@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.image.kind import make_kept_image_settings
 from pipeline.kinds.imported import ImportedNetwork
@@ -222,7 +222,7 @@ def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
     kind = find_kind(settings(cnn={"architecture": "5x5-6c4-3o"}, **sections))
     with pytest.raises(UserError) as caught:
         kind.require_recordings_fit(recordings(*size))
-    suggested = parse(re.search(r"such as (\S+), not", str(caught.value))[1])
+    suggested = parse_architecture(re.search(r"such as (\S+), not", str(caught.value))[1])
     assert (*suggested.input_shape, suggested.outputs) == (*size, kind.channels, 3)
 
 

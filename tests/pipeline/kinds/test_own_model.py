@@ -9,7 +9,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
-from models.architecture import parse
+from models.architecture import parse_architecture
 from pipeline import workflow
 from pipeline.api.run import Run
 from pipeline.kinds.image.keras_model import make_model_settings
@@ -98,7 +98,7 @@ def run(tmp_path_factory, files):
 
 
 def weights_in(run, folder, settings):
-    return read_weights(run / folder, parse(settings.cnn.architecture).weight_shapes)
+    return read_weights(run / folder, parse_architecture(settings.cnn.architecture).weight_shapes)
 
 
 def test_the_cnn_of_the_run_answers_as_the_model_does(run, files, dataset):

@@ -11,7 +11,7 @@ from deploy.network.provenance import read_classes
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
-from models.architecture import NotationError, parse
+from models.architecture import NotationError, parse_architecture
 from models.cnn import set_weights
 from pipeline.kinds.image.spec import make_image_spec, make_network_spec
 from pipeline.recordings.dataset import make_inputs_for
@@ -63,7 +63,7 @@ def notations(draw):
 
 def has_neurons(notation):
     try:
-        return bool(parse(notation).spiking)
+        return bool(parse_architecture(notation).spiking)
     except NotationError:  # the image is too small for it
         return False
 
@@ -72,7 +72,7 @@ def random_weights(architecture, seed=1):
     """With which activations are about 0 to 1 and every layer counts."""
     rng = np.random.default_rng(seed)
     weights = {}
-    for name, shape in parse(architecture).weight_shapes.items():
+    for name, shape in parse_architecture(architecture).weight_shapes.items():
         fan_in = np.prod(shape[:-1])
         scale = 1.8 / np.sqrt(fan_in) if name.endswith("kernel") else 0.05
         weights[name] = (scale * rng.normal(size=shape)).astype(np.float32)
@@ -109,7 +109,7 @@ def test_any_network_in_nengodl_is_the_keras_one(networks):
         nengo_dl.configure_settings(inference_only=True, planner=noop_planner)
         for architecture, seed in networks:
             given_settings, weights = settings_of(architecture), random_weights(architecture, seed)
-            inputs = images(2, parse(architecture).input_shape)
+            inputs = images(2, parse_architecture(architecture).input_shape)
             model = build_rate_network(given_settings)
             set_weights(model, weights)
             expected.append(model(inputs).numpy())  # called: predict() takes a tenth of a second
@@ -143,7 +143,7 @@ def test_what_is_folded_counts_as_the_architecture_does():
     spec = make_image_spec(settings_of(architecture), random_weights(architecture), {})
     assert [layer.name for layer in spec.layers] == ["conv1", "output"]
     assert spec.layers[0].pool == 3
-    ours, whole = spec.multiply_accumulates, parse(architecture).multiply_accumulates
+    ours, whole = spec.multiply_accumulates, parse_architecture(architecture).multiply_accumulates
     assert sum(ours.values()) == sum(whole.values())
     assert ours["conv1"] == whole["pool1"] + whole["conv1"]
 
@@ -159,7 +159,7 @@ def test_training_with_strides_pooling_and_dense_layers():
     with untraced():
         cnn = train_cnn(settings, samples, 0)
         single = train_rate_network(settings, samples, 0, cnn.weights)
-    shapes = parse(settings.cnn.architecture).weight_shapes
+    shapes = parse_architecture(settings.cnn.architecture).weight_shapes
     assert {name: array.shape for name, array in single.weights.items()} == shapes
     assert np.isfinite(single.compute_logits(images())).all()
     assert set(single.compute_activations(images())) == {"conv1", "dense1"}

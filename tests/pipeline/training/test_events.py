@@ -5,7 +5,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.network.decision import Estimator, choose_threshold
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.spiking.network import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration
@@ -104,7 +104,7 @@ def test_the_estimator_learns_from_samples_as_they_are_and_altered(trained, told
 
 
 def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
-    architecture = parse(DESIGN.architecture)
+    architecture = parse_architecture(DESIGN.architecture)
     arrays = {k: np.shape(v) for k, v in trained.weights.items() if np.ndim(v)}
     expected = dict(architecture.weight_shapes)
     del expected["output.bias"]  # the readout is a sum of spikes' weights and nothing else
@@ -116,7 +116,7 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
 def test_answers_are_the_chips_integers(trained, data):
     table, labels, _ = data
     answers = answers_to(trained.weights, table, VALIDATION, steps=64)
-    network = SpikingNetwork(parse(DESIGN.architecture))
+    network = SpikingNetwork(parse_architecture(DESIGN.architecture))
     network.set_weights(trained.weights)
     frames = table.make_frames(VALIDATION, DESIGN.step_ms, 64, DESIGN.limits)
     for index in (0, 7):

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.network.responses import join_responses
 from deploy.targets.registry import run_target
-from models.architecture import parse
+from models.architecture import parse_architecture
 from models.cnn import find_gain
 from models.keras.keras2 import tf
 from models.ops.base import Operation
@@ -123,7 +123,7 @@ def test_the_range_of_output_neurons_is_set_by_right_and_wrong_logits():
     )
     weights = {
         name: np.zeros(shape, np.float32)
-        for name, shape in parse(settings.cnn.architecture).weight_shapes.items()
+        for name, shape in parse_architecture(settings.cnn.architecture).weight_shapes.items()
     }
     weights["output.kernel"][0, 0] = 1
     logits = np.full((3, 10), -9.0)
