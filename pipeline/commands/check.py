@@ -71,27 +71,34 @@ Others = Annotated[
 ]
 
 
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        help="The result, .json (default: checks/TARGET.json in the run, or in a bundle that has "
+        "none)."
+    ),
+]
+
+SimulatorSeed = Annotated[
+    int | None,
+    typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
+]
+
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Faulty taxels at random places in each sample, such as hot=1 (a spike of each "
+        "polarity every 80 ms) or hot=1,dead=5; the result gets a file of its own.",
+    ),
+]
+
+
 def run(  # noqa: PLR0913 - each is an option of the command
     bundle: options.Bundle,
     target_requested: Annotated[Any, _make_target_options],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="The result, .json (default: checks/TARGET.json in the run, or in a bundle "
-            "that has none)."
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
-    ] = None,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Faulty taxels at random places in each sample, such as hot=1 (a spike of each "
-            "polarity every 80 ms) or hot=1,dead=5; the result gets a file of its own.",
-        ),
-    ] = None,
+    out: Out = None,
+    seed: SimulatorSeed = None,
+    fault: Faults = None,
     *,
     others: Others,
     as_json: options.Json = False,
@@ -100,7 +107,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from deploy.check.bundle import read_bundle
     from deploy.check.text import format_result, format_result_on_others
     from deploy.files import require_ending
-    from pipeline.results.check_with_faults import find_fault_path, parse_faults
+    from pipeline.results.check_with_faults import parse_faults
     from pipeline.workflow.target_check import TargetCheck
 
     values = dict(vars(target_requested))
@@ -114,28 +121,36 @@ def run(  # noqa: PLR0913 - each is an option of the command
     deployed = read_bundle(folder)
     options.warn_if_outdated(folder)
     check = TargetCheck(target, deployed.seed if seed is None else seed, target_options)
+    as_text = format_result
     if others.data is not None:
+        as_text = format_result_on_others
         result, path = check_on_others(deployed, others, check, options.say, faults, out)
-        text = f"{format_result_on_others(result)}\nwritten to {path}"
-        options.print_result(result.to_dict(), lambda _: text, as_json)
-        return
-    path = find_checks_folder(deployed.path) / f"{target}.json"
-    if faults is not None:
-        path = out or find_fault_path(path, faults)
-        result = _check_with_faults(deployed, faults, others.jobs, path, check)
+    elif faults is not None:
+        result, path = _check_with_faults(deployed, faults, others.jobs, check, out)
     else:
-        path = out or path
-        result = _check_own_samples(deployed, path, check)
-    text = f"{format_result(result)}\nwritten to {path}"
+        result, path = _check_own_samples(deployed, check, out)
+    text = f"{as_text(result)}\nwritten to {path}"
     options.print_result(result.to_dict(), lambda _: text, as_json)
-    if faults is None and (loss := _describe_loss(deployed, result)):
-        options.say(f"check: {loss}")
+    if others.data is None and faults is None:
+        _say_loss(deployed, result)
 
 
-def _check_own_samples(bundle, path, check):
-    """Run the check on the bundle's samples; say if the network was fitted to some of them."""
+def _find_result_path(bundle, check):
+    return find_checks_folder(bundle.path) / f"{check.target}.json"
+
+
+def _check_own_samples(bundle, check, out) -> tuple:
+    """Run the check on the bundle's samples; say if the network was fitted to some of them.
+
+    Returns
+    -------
+    result : CheckResult
+    path : Path
+        The file of the result.
+    """
     from deploy.check.results import write_result
 
+    path = out or _find_result_path(bundle, check)
     result = check.run(bundle, path)
     if number := _count_samples_of_fit(bundle.spec):
         options.say(
@@ -144,7 +159,7 @@ def _check_own_samples(bundle, path, check):
         )
         result = replace(result, trained_on=number)
         write_result(path, result)
-    return result
+    return result, path
 
 
 def _require_data(others):
@@ -164,8 +179,8 @@ def _count_samples_of_fit(spec):
     return number if type(number) is int else 0
 
 
-def _describe_loss(bundle, result):
-    """The loss relative to the network that the bundle was made from, if its predictions exist."""
+def _say_loss(bundle, result):
+    """Say what the target loses relative to the network before it, if its predictions exist."""
     from deploy.check.comparison import describe_loss
     from deploy.check.results import read_result
     from pipeline.kinds.registry import list_compared_stages
@@ -174,17 +189,21 @@ def _describe_loss(bundle, result):
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(find_checks_folder(bundle.path) / f"{stage}.json")
             if reference.bundle_id == bundle.id:
-                return describe_loss(reference, result)
-    return None
+                loss = describe_loss(reference, result)
+                if loss is not None:
+                    options.say(f"check: {loss}")
+                return
 
 
-def _check_with_faults(bundle, counts, jobs, path, check):
-    """Run the check with faulty taxels in its samples; return the result."""
+def _check_with_faults(bundle, counts, jobs, check, out) -> tuple:
+    """Run the check with faulty taxels in its samples; see :func:`_check_own_samples`."""
     from pipeline.results import check_with_faults
 
+    path = out or check_with_faults.find_fault_path(_find_result_path(bundle, check), counts)
     recordings, image = check_with_faults.read_check_recordings(bundle, jobs, options.say)
     presented = check_with_faults.add_faults_to_check(bundle, recordings, counts, image)
-    return check_with_faults.add_fault_note(check.run(presented, path), path, counts)
+    result = check_with_faults.add_fault_note(check.run(presented, path), path, counts)
+    return result, path
 
 
 def compare_checks(

@@ -214,7 +214,6 @@ class Live:
     async def _serve_page(self, socket):
         session = Session(next(self._numbers), self._keeper, self._parameters)
         page = _Page(socket, session)
-        loop = asyncio.get_running_loop()
         hello = {
             "type": "hello",
             **self._about,
@@ -226,20 +225,7 @@ class Live:
         work = self._send_outputs, self._send_spikes, self._send_examples
         tasks = [asyncio.create_task(send(page)) for send in work]
         try:
-            while True:
-                message = await socket.receive()
-                if message["type"] == "websocket.disconnect":
-                    return
-                if message.get("text") is None:
-                    raise BadMessage("not text")
-                async with page.turn:
-                    replies = await loop.run_in_executor(
-                        self._page_threads, session.handle, message["text"]
-                    )
-                await _send_messages(socket, replies)
-                events = [reply for reply in replies if reply["type"] == "events"]
-                if any(r["ns"] or r["settled"] or session.changes_with_time for r in events):
-                    page.wake.set()
+            await self._handle_messages(page)
         except BadMessage as error:
             await _send_messages(
                 socket, [make_problem_message(f"a message was refused: {error}; reload this page")]
@@ -248,6 +234,25 @@ class Live:
         finally:
             for task in tasks:
                 task.cancel()
+
+    async def _handle_messages(self, page):
+        """Handle the messages of a page until it closes."""
+        loop = asyncio.get_running_loop()
+        session = page.session
+        while True:
+            message = await page.socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            if message.get("text") is None:
+                raise BadMessage("not text")
+            async with page.turn:
+                replies = await loop.run_in_executor(
+                    self._page_threads, session.handle, message["text"]
+                )
+            await _send_messages(page.socket, replies)
+            events = [reply for reply in replies if reply["type"] == "events"]
+            if any(r["ns"] or r["settled"] or session.changes_with_time for r in events):
+                page.wake.set()
 
     async def _send_examples(self, page):
         """Say which examples there are as soon as they are known."""
@@ -259,42 +264,34 @@ class Live:
 
     async def _send_outputs(self, page):
         """Send the outputs of the network one at a time, each for the latest events."""
-        loop = asyncio.get_running_loop()
-        socket = page.socket
         try:
             decider = await asyncio.shield(self._decider)
         except Exception as error:  # any error is reported on the page
-            await _send_messages(
-                socket, [make_problem_message(f"the network cannot be made ready: {error}")]
-            )
+            problem = make_problem_message(f"the network cannot be made ready: {error}")
+            await _send_messages(page.socket, [problem])
             return
         async with page.turn:
             page.session.begin(decider)
-        layers = [{"name": name, "neurons": n} for name, n in decider.layers.items()]
-        ready = {
-            "type": "ready",
-            "layers": layers,
-            "steps": decider.steps,
-            "first_step": decider.first_step,
-            "threshold": decider.threshold,
-            "window_s": decider.window_s,
-            "usual_s": decider.usual_s,
-        }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _send_messages(socket, [ready])
+            await _send_messages(page.socket, [_make_ready_message(decider)])
             while True:
                 await page.wake.wait()
                 page.wake.clear()
                 async with page.turn:
                     task = page.session.make_output_task()
                 if task is not None:
-                    try:
-                        output = await loop.run_in_executor(self._network_thread, task)
-                    except Exception as error:  # reported; the next one may succeed
-                        output = make_problem_message(f"the network could not answer: {error}")
-                    await _send_messages(socket, [output] if output is not None else [])
+                    output = await self._compute_output(task)
+                    await _send_messages(page.socket, [output] if output is not None else [])
                     page.draw.set()
                     await asyncio.sleep(MIN_ANSWER_INTERVAL_S)
+
+    async def _compute_output(self, task):
+        """The message with the network's output, or with the problem; None without an output."""
+        loop = asyncio.get_running_loop()
+        try:
+            return await loop.run_in_executor(self._network_thread, task)
+        except Exception as error:  # reported; the next one may succeed
+            return make_problem_message(f"the network could not answer: {error}")
 
     async def _send_spikes(self, page):
         """Send the spikes of the latest output; those of the last one always."""
@@ -305,6 +302,19 @@ class Live:
                 spikes = page.session.make_spikes_message()
                 await _send_messages(page.socket, [spikes] if spikes is not None else [])
                 await asyncio.sleep(MIN_SPIKES_INTERVAL_S)
+
+
+def _make_ready_message(decider) -> dict:
+    """The message that the network answers from now on, with its sizes and times."""
+    return {
+        "type": "ready",
+        "layers": [{"name": name, "neurons": n} for name, n in decider.layers.items()],
+        "steps": decider.steps,
+        "first_step": decider.first_step,
+        "threshold": decider.threshold,
+        "window_s": decider.window_s,
+        "usual_s": decider.usual_s,
+    }
 
 
 _LIMITS = {"start_s": START_S, "pause_s": PAUSE_S, "most_taxels": MAX_TAXELS}

@@ -405,49 +405,72 @@ def _receive(touches, parameters, size):
     are always the first ones.
     """
     order = sorted(range(len(touches)), key=lambda index: -len(touches[index].felt))
-    touches = [touches[index] for index in order]
+    longest_first = [touches[index] for index in order]
+    signal, columns, stretches = _join_signals(longest_first)
+    film = Creep(signal.shape[1], STEP_S, parameters.skin)
+    for stretch in stretches:
+        film.advance(stretch)
+    receptors = _draw_receptors(longest_first, signal, columns, parameters.receptor)
+    fired = [receptors.advance(stretch) for stretch in stretches]
+    time, channel, polarity = map(np.concatenate, zip(*fired, strict=True))
+    spikes_of_touches = _split_by_touch(channel, columns)
+    events = [None] * len(touches)
+    for index, span, own in zip(order, columns, spikes_of_touches, strict=True):
+        touch = touches[index]
+        seconds = time[own] + touch.start_s - STEP_S
+        written = seconds, touch.taxels[channel[own] - span.start], polarity[own]
+        events[index] = _read_out(written, touch, parameters, size)
+    return events
+
+
+def _join_signals(touches) -> tuple:
+    """The pressure of touches side by side, the longest first.
+
+    Returns
+    -------
+    signal : ndarray of float32, shape (steps, taxels)
+        With one row before the pen touches the skin.
+    columns : list of slice
+        The columns of each touch.
+    stretches : list of ndarray
+        Views of the signal with the same touches in all rows, one after the other.
+    """
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
-    widths = np.diff(first)
     columns = list(itertools.starmap(slice, itertools.pairwise(first)))
-    # One row before the pen touches the skin.
     ends = [1 + len(touch.felt) for touch in touches]
     signal = np.empty((ends[0], first[-1]), np.float32)
     signal[0] = 0
     for touch, end, span in zip(touches, ends, columns, strict=True):
         signal[1:end, span] = touch.felt
-    stretches = [signal[part] for part in _find_stretches(ends, first)]
-    film = Creep(first[-1], STEP_S, parameters.skin)
-    for stretch in stretches:
-        film.advance(stretch)
-    off, clock = np.empty((2, first[-1]))
-    for touch, end, span in zip(touches, ends, columns, strict=True):
+    stretches = [signal[stretch] for stretch in _find_stretches(ends, first)]
+    return signal, columns, stretches
+
+
+def _draw_receptors(touches, signal, columns, receptor) -> Receptors:
+    """The receptors of touches, after the vibration of each has been added to its signal."""
+    n_taxels = signal.shape[1]
+    off, clock = np.empty((2, n_taxels))
+    for touch, span in zip(touches, columns, strict=True):
         rng = touch.rng
-        add_vibration(signal[1:end, span], touch.speed, rng, touch.skin)
-        off[span] = np.exp(
-            parameters.receptor.off + parameters.receptor.off_spread * rng.standard_normal()
-        )
-        clock[span] = np.exp(
-            parameters.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels)))
-        )
-    receptors = Receptors(
+        add_vibration(signal[1 : 1 + len(touch.felt), span], touch.speed, rng, touch.skin)
+        off[span] = np.exp(receptor.off + receptor.off_spread * rng.standard_normal())
+        clock[span] = np.exp(receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
+    return Receptors(
         signal[0],
-        on=np.full(first[-1], parameters.receptor.threshold, np.float32),
-        off=(parameters.receptor.threshold * off).astype(np.float32),
+        on=np.full(n_taxels, receptor.threshold, np.float32),
+        off=(receptor.threshold * off).astype(np.float32),
         step_s=STEP_S,
-        refractory_s=parameters.receptor.refractory_s * clock,
-        poll_s=parameters.receptor.poll_s * clock,
+        refractory_s=receptor.refractory_s * clock,
+        poll_s=receptor.poll_s * clock,
     )
-    fired = [receptors.advance(stretch) for stretch in stretches]
-    time, channel, polarity = map(np.concatenate, zip(*fired, strict=True))
-    sample = np.repeat(np.arange(len(touches)), widths)[channel]
-    by_sample = np.argsort(sample, kind="stable")
-    parts = np.split(by_sample, np.searchsorted(sample[by_sample], np.arange(1, len(touches))))
-    events = [None] * len(touches)
-    for index, touch, start, part in zip(order, touches, first, parts, strict=False):
-        seconds = time[part] + touch.start_s - STEP_S
-        written = seconds, touch.taxels[channel[part] - start], polarity[part]
-        events[index] = _read_out(written, touch, parameters, size)
-    return events
+
+
+def _split_by_touch(channel, columns) -> list:
+    """Indices of the spikes of each touch, given the column of each spike."""
+    widths = [span.stop - span.start for span in columns]
+    touch = np.repeat(np.arange(len(columns)), widths)[channel]
+    by_touch = np.argsort(touch, kind="stable")
+    return np.split(by_touch, np.searchsorted(touch[by_touch], np.arange(1, len(columns))))
 
 
 def _read_out(written, touch, parameters, size):

@@ -7,6 +7,7 @@ process, since neither is asked of TensorFlow (there `tensorflow.keras` is one o
 """
 
 import atexit
+import functools
 import gc
 import os
 import sys
@@ -112,15 +113,22 @@ def good(keras):
 
 def exact(keras):
     """Further models that compute the same: what users' files have between the usual layers."""
+    return {**means(keras), **rare_layers(keras), **windows(keras), **moved_values(keras)}
+
+
+def make_chain(keras, shape, *middle):
+    return keras.Sequential([keras.Input(shape), *middle])
+
+
+def make_read_out_chain(keras, shape, *middle):
+    """A chain that ends with a dense readout of three classes."""
+    return make_chain(keras, shape, *middle, keras.layers.Flatten(), keras.layers.Dense(3))
+
+
+def means(keras):
+    """Networks without images, and those that read out means."""
     layers = keras.layers
-
-    def chain(shape, *middle):
-        return keras.Sequential([keras.Input(shape), *middle])
-
-    inner = keras.Sequential(
-        [keras.Input((6, 6, 1)), layers.RandomFlip(), layers.Conv2D(3, 3, activation="relu")],
-        name="inner",
-    )
+    chain = functools.partial(make_chain, keras)
     return {
         "vector": chain(
             (100,),
@@ -166,12 +174,23 @@ def exact(keras):
             layers.GlobalAveragePooling2D(),
             layers.Activation("softmax"),
         ),
-        "overlapping": chain(
+    }
+
+
+def rare_layers(keras):
+    """Layers and orders of layers that are rare in files."""
+    layers = keras.layers
+    chain = functools.partial(make_chain, keras)
+    read_out_chain = functools.partial(make_read_out_chain, keras)
+    inner = keras.Sequential(
+        [keras.Input((6, 6, 1)), layers.RandomFlip(), layers.Conv2D(3, 3, activation="relu")],
+        name="inner",
+    )
+    return {
+        "overlapping": read_out_chain(
             (8, 8, 1),
             layers.Conv2D(4, 3, padding="same", activation="relu"),
             layers.AveragePooling2D(3, strides=2, padding="same"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
         "two_classes": chain(
             (5, 5, 1),
@@ -193,22 +212,18 @@ def exact(keras):
             layers.Flatten(),
             layers.Dense(3, activation="relu"),
         ),
-        "normalised_rows": chain(
+        "normalised_rows": read_out_chain(
             (6, 6, 1),
             layers.Conv2D(3, 3, activation="relu"),
             layers.BatchNormalization(axis=1),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "channels_first": chain(
+        "channels_first": read_out_chain(
             (2, 8, 7),
             layers.Conv2D(3, 3, data_format="channels_first"),
             layers.BatchNormalization(axis=1),
             layers.ReLU(),
             layers.AveragePooling2D(2, data_format="channels_first"),
             layers.Conv2D(4, 2, data_format="channels_first", activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
         "keras_1": chain(
             (8, 8, 1),
@@ -216,41 +231,45 @@ def exact(keras):
             layers.Flatten(),
             layers.Dense(3, activation="softmax", name="out"),
         ),
-        "within": chain((6, 6, 1), inner, layers.Flatten(), layers.Dense(3)),
-        "other_windows": chain(
+        "within": read_out_chain(
+            (6, 6, 1),
+            inner,
+        ),
+    }
+
+
+def windows(keras):
+    """Windows of other shapes, strides and orders."""
+    layers = keras.layers
+    chain = functools.partial(make_chain, keras)
+    read_out_chain = functools.partial(make_read_out_chain, keras)
+    return {
+        "other_windows": read_out_chain(
             (9, 12, 2),
             layers.Conv2D(4, (3, 2), padding="same", activation="relu"),
             layers.Conv2D(4, 2, dilation_rate=2, groups=2, activation="relu"),
             layers.ZeroPadding2D(1),
             layers.Conv2D(3, 3, strides=2, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "means_before_convolution": chain(
+        "means_before_convolution": read_out_chain(
             (12, 12, 2),
             layers.Conv2D(4, 3, activation="relu"),
             layers.AveragePooling2D(3, strides=2),
             layers.Dropout(0.1),
             layers.BatchNormalization(),
             layers.Conv2D(3, 2, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "not_square": chain(
+        "not_square": read_out_chain(
             (6, 6, 1),
             layers.Conv2D(3, (3, 2), activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "uneven_strides": chain(
+        "uneven_strides": read_out_chain(
             (6, 6, 1),
             layers.Conv2D(3, 3, strides=(1, 2), padding="same"),
             layers.BatchNormalization(),
             layers.ReLU(),
             layers.AveragePooling2D(2),
             layers.Conv2D(3, 1, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
         "overlapping_means": chain(
             (8, 8, 1),
@@ -271,38 +290,39 @@ def exact(keras):
             layers.ReLU(),
             layers.Dense(3),
         ),
-        "cropped": chain(
+    }
+
+
+def moved_values(keras):
+    """Layers that move or normalise values."""
+    layers = keras.layers
+    chain = functools.partial(make_chain, keras)
+    read_out_chain = functools.partial(make_read_out_chain, keras)
+    return {
+        "cropped": read_out_chain(
             (8, 8, 1),
             layers.Cropping2D(1),
             layers.Conv2D(3, 3, activation="relu"),
             layers.Permute((2, 1, 3)),
             layers.Conv2D(3, 2, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "channels_moved": chain(
+        "channels_moved": read_out_chain(
             (2, 6, 7),
             layers.Permute((2, 3, 1)),
             layers.ZeroPadding2D(3),
             layers.Conv2D(3, 3, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "normalised_zeros": chain(
+        "normalised_zeros": read_out_chain(
             (7, 7, 1),
             layers.Conv2D(3, 3, activation="relu"),
             layers.ZeroPadding2D(1),
             layers.BatchNormalization(),
             layers.Conv2D(3, 3, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "normalised_by_row": chain(
+        "normalised_by_row": read_out_chain(
             (8, 8, 1),
             layers.Normalization(axis=1, mean=np.arange(8.0) / 8, variance=np.ones(8)),
             layers.Conv2D(3, 3, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
         "linear_convolution": chain(
             (30, 30, 1),
@@ -311,19 +331,15 @@ def exact(keras):
             layers.GlobalAveragePooling2D(),
             layers.Softmax(),
         ),
-        "pixels": chain(
+        "pixels": read_out_chain(
             (6, 6, 1),
             layers.Rescaling(1 / 255),
             layers.Conv2D(3, 3, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
-        "normalised_pixels": chain(
+        "normalised_pixels": read_out_chain(
             (6, 6, 2),
             layers.Normalization(mean=[33.0, 41.0], variance=[900.0, 100.0]),
             layers.Conv2D(3, 3, activation="relu"),
-            layers.Flatten(),
-            layers.Dense(3),
         ),
     }
 
