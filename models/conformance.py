@@ -1,4 +1,4 @@
-"""Checks that every operation must pass; the test of a new one calls them."""
+"""What every operation must pass; the test of a new one calls :func:`assert_operation_conforms`."""
 
 import math
 

@@ -36,7 +36,7 @@ class NetworkKind:
     also `settings_group`.  All else has a default.
 
     :func:`pipeline.kinds.registry.register_kind` adds a kind.  ``RandomKind`` in
-    tests/test_extensions.py is a complete one.
+    tests/extensions/test_from_outside.py is a complete one.
 
     Parameters
     ----------

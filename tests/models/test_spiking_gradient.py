@@ -8,8 +8,8 @@ from models.architecture import parse_architecture
 from models.keras.keras2 import tf
 from models.spiking.gradient import Batch, SpikingGradient
 from models.spiking.network import SpikingNetwork, count_operations
+from tests.extensions.test_from_outside import OneToOne
 from tests.models.test_spiking import ARCHITECTURES, frames_for, network_of
-from tests.test_extensions import OneToOne
 
 EARLY, PRICE = 0.7, 1e-4
 

@@ -11,8 +11,8 @@ from deploy.check.bundle import make_zipapp
 from deploy.targets.registry import TARGETS
 from tests.command import ROOT, environment, missing
 from tests.deploy.networks import bundle_at
+from tests.extensions.test_from_outside import delete_at_the_end
 from tests.test_documentation import blocks, read
-from tests.test_extensions import delete_at_the_end
 
 TARGET = """
 from dataclasses import dataclass

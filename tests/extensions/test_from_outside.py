@@ -1,6 +1,6 @@
 """What another package can add: a format, a target, a kind, an operation and a chip.
 
-`tests/test_plugins.py` has such a package, which the command line finds by itself.
+`tests/extensions/test_plugins.py` has such a package, which the command line finds by itself.
 """
 
 import json
