@@ -34,7 +34,7 @@ def shorten_error(error, limit: int) -> str:
 
 
 class UserError(Exception):
-    """A mistake of the user's, or bad input: one clear line, exit status 2.
+    """A user's mistake or bad input: one clear line, exit status 2.
 
     The message says what is wrong, where (the file or setting) and what to do about it.
     """

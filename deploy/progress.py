@@ -71,7 +71,7 @@ class ProgressLines:
         remark(f"{label}: {done}{self._estimate_rest(now)}")
 
     def _estimate_rest(self, now):
-        """The end of a line: the remaining time, unless it would be from too short a time."""
+        """The end of a line: the remaining time, unless too little time has passed."""
         measured = now - self._first_at
         if measured < MIN_MEASURED_SECONDS:
             return ""

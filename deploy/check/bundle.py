@@ -143,7 +143,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     Raises
     ------
     UserError
-        The path is a file's, or a folder's with other files than a bundle's, which would be lost;
+        The path is that of a file, or of a folder with files of other kinds, which would be lost;
         the samples are too large for a bundle; or the folder cannot be written.
     ValueError
         The samples of the check do not fit the network, or each other.
@@ -183,7 +183,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
 
 
 def require_replaceable(path):
-    """Refuse to replace a file by a bundle, or a folder with other files than a bundle's.
+    """Refuse a path where a bundle would replace a file, or a folder with files of other kinds.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def compute_fisher_p(correct_a: int, n_a: int, correct_b: int, n_b: int) -> floa
     Parameters
     ----------
     correct_a, n_a, correct_b, n_b : int
-        Right answers and samples of each.
+        Numbers of right answers and of samples of each classifier.
 
     Returns
     -------

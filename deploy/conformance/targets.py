@@ -113,7 +113,7 @@ def _assert_forms(tried):
 
 @contextmanager
 def _naming(title):
-    """Put a title before the message of an error that is raised meanwhile."""
+    """Put a title before the message of an error that is raised in the block."""
     try:
         yield
     except AssertionError as error:

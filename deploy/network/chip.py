@@ -33,7 +33,7 @@ class Chip:
         Bits of the mantissa of a threshold, and its unit.
     decay_bits : int
     refractory_bits : int
-        Bits of the steps from a spike to the first one that can spike again.
+        Bits of the number of steps from a spike to the first step that can have another one.
     input_bits, current_bits, voltage_bits : int
         Bits of one step's synaptic input, of the current and of the voltage, without signs; the
         first two wrap around, the voltage is clipped.
@@ -81,7 +81,7 @@ class Chip:
 
     @property
     def max_threshold(self) -> int:
-        """Largest threshold less a unit: NengoLoihi may round it up, and then halves all values."""
+        """Largest threshold less a unit; NengoLoihi may round the largest up and halve all values."""
         return (2**self.threshold_bits - 2) * self.threshold_unit
 
     @property
@@ -106,7 +106,7 @@ class Chip:
 
     @property
     def voltage_limit(self) -> int:
-        """Voltage at which it is clipped; it should be well above the threshold."""
+        """Limit of the voltage, which is clipped; it should be well above the threshold."""
         return 2**self.voltage_bits - 1
 
     @property

@@ -13,8 +13,9 @@ from nengo.transforms import ChannelShape
 class PaddedConvolution(nengo.Convolution):
     """A convolution of two dimensions with the same number of zeros on each side of its input.
 
-    Nengo has "valid" and "same" only.  NengoLoihi takes as padding half of the values by which all
-    windows together exceed the input, unless it is "valid", so that this is declared as "same".
+    Nengo has "valid" and "same" only.  Unless the padding is "valid", NengoLoihi pads by half of
+    the values by which all windows together exceed the input, so that this transform declares
+    "same".
 
     Parameters
     ----------

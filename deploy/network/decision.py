@@ -284,7 +284,7 @@ def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, fir
 
 
 def find_decisions(outputs, confidence, threshold: float):
-    """As :func:`decide`, of outputs whose ``confidence`` at each step is known."""
+    """As :func:`decide`, for outputs whose ``confidence`` at each step is known."""
     reached = confidence >= threshold
     reached[:, -1] = True
     steps = reached.argmax(1)

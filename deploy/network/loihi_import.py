@@ -51,7 +51,7 @@ INTEGER_FORMATS = (
 
 
 def require_integers(network: nengo.Network):
-    """Refuse a network that the chip cannot run, before any target, also a simulator, runs it.
+    """Refuse a network that the chip cannot run before any target, even a simulator, runs it.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def make_build_error(network: nengo.Network, error: Exception) -> UserError:
     Returns
     -------
     UserError
-        Names the layer and the limit where the chip's integers are the reason.
+        It names the layer and the limit if the chip's integers are the reason.
     """
     problem = _find_unfit_value(network) or str(error)
     if not problem or isinstance(error, AttributeError):

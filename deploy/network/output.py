@@ -21,7 +21,7 @@ class TargetOutput:
     readout : ndarray, shape (n_samples, steps, outputs)
         The readout at each step of a sample's presentation, without the gap before it.  On the
         host: decoded values, without the bias, of the classes, or of the classes in all sections
-        (``sections * n_classes`` outputs) of which each step's is taken then; see
+        (``sections * n_classes`` outputs), from which the section of each step is selected; see
         :func:`deploy.network.reference.read_out`.  On the chip: the output neurons' spikes,
         ``amplitude / dt`` in a step with a spike.
     spikes : dict of str to ndarray of int, shape (n_samples, n_neurons), or None

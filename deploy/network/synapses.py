@@ -30,8 +30,8 @@ def count_weight_levels(synapses: int, chip: Chip = LOIHI) -> int:
 def _count_fine_levels(chip):
     """Largest magnitude of the fine synapse's weight.
 
-    It is a level less than possible: only with less than half of the largest weight of its block
-    does NengoLoihi give it a smaller exponent, in single precision.
+    It is one level less than possible: NengoLoihi gives the synapse a smaller exponent only if its
+    weights are, in single precision, less than half of the largest weight of the block.
     """
     return chip.weight_levels - 1
 
@@ -105,7 +105,7 @@ def split_weights(
 
 
 def _choose_rest_of_largest(size, rest, chip):
-    """Double steps of a weight of some steps, so that neither part is below a quarter of its range.
+    """The double steps of the largest weight; neither part is below a quarter of its range.
 
     The fine synapse's part is negative if the weight is small.  A weight of 0 has no parts.
     """
@@ -118,5 +118,5 @@ def _choose_rest_of_largest(size, rest, chip):
 
 
 def _round_up(values):
-    """The next whole number, or the nearest to one that rounding has made a little larger."""
+    """The next whole number, or the nearest one where only a rounding error exceeds it."""
     return np.ceil(values - 1e-6)

@@ -297,7 +297,7 @@ def _list_lost_weights(spec, cores):
 
 
 def _warn_of_layers(cores, chip):
-    """One line a layer and kind of warning, with the worst core's number."""
+    """One line for each layer and kind of warning, with the number of the worst core."""
     limit = chip.limits["AxonCfg registers"]
     for layer in dict.fromkeys(core.layer for core in cores):
         of_layer = [core for core in cores if core.layer == layer]

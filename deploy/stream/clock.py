@@ -24,8 +24,8 @@ MAX_TIME_NS = 1 << 62
 class SensorClock:
     """The time of a stream, which never goes back, from the times of a sensor's events.
 
-    An event that is far from all before it has either a wrong time, or there was silence, or the
-    clock has jumped.  It waits until the next event or :meth:`advance` tells which:
+    If an event is far from all events before it, its time is wrong, there was silence, or the clock
+    has jumped.  It waits until the next event or :meth:`advance` tells which:
 
     - if the next time is near that of the waiting event, there was silence, or the clock has jumped
       back; after a jump, the stream's time continues without one;
@@ -65,7 +65,7 @@ class SensorClock:
         return sensor_ns + self._offset_ns
 
     def is_next(self, stream_ns: int) -> bool:
-        """True for the time of an event that follows those before, without silence."""
+        """True if an event at this time follows the events before it without silence."""
         if self._waiting is not None or self.latest_ns is None or stream_ns < self.latest_ns:
             return False
         assert self.now_ns is not None  # set with the time of the latest event

@@ -10,7 +10,7 @@ from .faults import Faults
 
 
 class EventReader:
-    """Reads events, and counts those that the network cannot be presented.
+    """Reads events, and counts those that cannot be presented to the network.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class EventReader:
         self._faults = faults
 
     def read(self, t, x, y, p):
-        """Times and cells of those events that the network can be presented.
+        """Times and cells of those events that can be presented to the network.
 
         Parameters
         ----------

@@ -61,7 +61,7 @@ class PresentingNetwork:
     ----------
     network : SharedNetwork
     stream_length : int
-        Presentations until the network starts fresh.
+        Number of presentations after which the network is reset.
     steps : int
         Maximum number of steps of a presentation.
     """
@@ -83,7 +83,7 @@ class PresentingNetwork:
         self.prepare()
 
     def prepare(self):
-        """Present the gap before the next presentation; the latter then starts without delay."""
+        """Present the gap before the next presentation, so that this starts without delay."""
         if self._presented == self._stream_length:
             self._state = self._emulation.start()
             self._presented = 0

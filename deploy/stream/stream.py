@@ -31,10 +31,10 @@ SINGLE_EVENT_TOUCHES = 5
 class Stream:
     """A network that runs on the events of a sensor in real time.
 
-    A touch begins with an event after silence.  The network is presented its events step by step,
-    as in a check: after the gap, for the steps of the bundle's presentation.  It decides as soon as
-    its confidence reaches the bundle's threshold, or else at the end of the presentation; if the
-    sensor is silent before, the remaining steps are computed at once.
+    A touch begins with an event after silence.  Its events are presented to the network step by
+    step, as in a check: after the gap, for the steps of the bundle's presentation.  It decides as
+    soon as its confidence reaches the bundle's threshold, or else at the end of the presentation;
+    if the sensor is silent before, the remaining steps are computed at once.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ class Stream:
         Time in seconds without events that ends a touch; default: the longest within a sample of
         the bundle's check, at least the gap of the presentation.
     longest : float, optional
-        Time in seconds for which the network is presented a touch that does not end; default: the
+        Time in seconds for which a touch that does not end is presented; default: the
         bundle's presentation.
     stream_length : int, optional
-        Touches until the network starts fresh; default: the bundle's.  With 1, no touch depends on
-        the one before.
+        Number of touches after which the network is reset; default: the bundle's. With 1, no touch
+        depends on the one before.
     network : SharedNetwork, optional
         The bundle's network, if several streams share it.
 
@@ -146,8 +146,9 @@ class Stream:
     def now(self) -> Optional[float]:
         """Present time on the sensor's clock: its last event's, and the time since it arrived.
 
-        None before the first event.  The clock of this machine tells how long ago that was, so that
-        a recording which is pushed faster than it was made has to give the time to :meth:`advance`.
+        None before the first event.  The clock of this machine tells how long ago that was; a
+        program that pushes a recording faster than it was made must therefore give the time to
+        :meth:`advance`.
         """
         if self._last_ns is None:
             return None

@@ -35,8 +35,8 @@ class Decision:
     early : bool
         True if the threshold of the bundle was reached before the end.
     ended : bool
-        True if the touch had ended at that time.  Otherwise the decision is preliminary: what
-        follows may make another class of it.
+        True if the touch had ended at that time.  Otherwise the decision is preliminary: later
+        events may change the class.
     events : int
         Number of events of the touch until the decision.
     """
@@ -95,7 +95,7 @@ class TouchSteps:
     ----------
     spec : NetworkSpec
     longest : float or None
-        Time in seconds for which the network is presented a touch that does not end; None for the
+        Time in seconds for which a touch that does not end is presented; None for the
         presentation of the network.
 
     Attributes

@@ -274,7 +274,7 @@ def _find_senders(model, spike_input):
 
 
 def _select_compartments(values, compartments):
-    """Some compartments' values, of an array with all compartments as its last axis."""
+    """The values of some compartments, from an array with all of them along its last axis."""
     first, n = (int(compartments[0]), len(compartments)) if len(compartments) else (0, 0)
     if np.array_equal(compartments, np.arange(first, first + n)):
         return values[..., first : first + n]

@@ -10,7 +10,7 @@ MAX_WAIT_S = 600.0
 
 
 def option(default, help_text, minimum=None, maximum=None):
-    """A field with its help on both command lines, and its bounds; None is no bound."""
+    """A field with its help on both command lines, and its bounds; None means no bound."""
     return field(default=default, metadata={"help": help_text, "range": (minimum, maximum)})
 
 

@@ -1,4 +1,4 @@
-"""Overflows of the chip's integers: counted while a target runs, and told in one line.
+"""Overflows of the chip's integers: counted while a target runs, and reported in one line.
 
 NengoLoihi's emulator and ``fast`` warn of each overflow where it happens.  An overflow wraps a
 number around, on the chip too, so that a large excitation becomes an inhibition.

@@ -149,6 +149,7 @@ def test_time_to_decide_of_events():
     assert missing(text, "82%", "image", "events") == []
     at_end = replace(written, early=replace(early, confidence=1.0))
     answer = replace(answer, while_written=at_end)
+    events = run("b", [answer], spec=make_event_network(), changes=changes)
     assert compare_runs([run("a", [answer]), events])["runs"][1]["writing"] is None
 
 
