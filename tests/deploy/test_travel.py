@@ -41,7 +41,8 @@ def home(tmp_path_factory):
 
 def at_home(folder, spec, checks=None):
     bundle = write_bundle(folder / "bundle", spec, checks or draw_checks(spec, 7))
-    return bundle, run_check(bundle, "emulator", folder / "checks" / "emulator.json")
+    result = run_check(bundle, "emulator", folder / "checks" / "emulator.json")
+    return bundle, result.to_dict()
 
 
 @pytest.fixture

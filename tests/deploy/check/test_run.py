@@ -42,7 +42,7 @@ def begun(bundle, tmp_path_factory):
 
 
 def test_the_result_has_the_contracts_entries(bundle, whole):
-    assert whole.keys() >= CONTRACT
+    assert whole.to_dict().keys() >= CONTRACT
     assert whole["schema"] == "stmnist-check/1"
     assert (whole["target"], whole["bundle"]) == ("emulator", bundle.id)
     assert (whole["n_samples"], whole["steps_per_sample"]) == (7, 20)

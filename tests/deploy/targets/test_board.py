@@ -111,7 +111,7 @@ BOARD_AND_PARTITION = BoardOptions(board="ncl-ext-ghrd-01", partition="nahuku32"
 def test_a_board_has_the_answers_and_spikes_of_the_emulator(nxsdk, bundle, emulated, tmp_path):
     result = run_check(bundle, "loihi", tmp_path / "loihi.json", options=BOARD_AND_PARTITION)
     assert same_answers(result, emulated)
-    assert set(emulated) <= set(result)
+    assert set(emulated.to_dict()) <= set(result.to_dict())
     comparison = compare_results(read_result(tmp_path / "loihi.json"), emulated)
     assert (comparison.disagreements, comparison.other_spikes) == ([], 0)
 

@@ -215,7 +215,7 @@ OTHERS = (
 def test_a_result_of_another_check_in_the_run_is_made_anew(run, other, capsys):
     path = run / "checks" / "emulator.json"
     original = read_result(path)
-    write_json(path, {**original, **other})
+    write_json(path, {**original.to_dict(), **other})
     assert call("status", run) == 0
     assert "outdated" in capsys.readouterr().out
     assert call("ladder", run) == 0
