@@ -81,7 +81,7 @@ class Chip:
 
     @property
     def max_threshold(self) -> int:
-        """Largest threshold less a unit; NengoLoihi may round the largest up and halve all values."""
+        """Largest threshold less a unit, since NengoLoihi halves all values if it rounds one up."""
         return (2**self.threshold_bits - 2) * self.threshold_unit
 
     @property

@@ -100,9 +100,7 @@ def _read_others(folder, bundle):
         for result in results
         if result.bundle_id == bundle.id and result.per_class is not None and result.data
     ]
-    return [
-        replace(each, data=replace(each.data, source=_title_source(each, own))) for each in own
-    ]
+    return [replace(each, data=replace(each.data, source=_title_source(each, own))) for each in own]
 
 
 def _title_source(result, results):
