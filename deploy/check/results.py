@@ -264,7 +264,8 @@ class CheckResult:
     def to_dict(self) -> dict:
         """The result as plain values, as in its file."""
         values = {"schema": SCHEMA, **dump_dataclass(self)}
-        return {**values, **values.pop("target_notes")}
+        notes = values.pop("target_notes")
+        return {**values, **notes}
 
     @classmethod
     def from_dict(cls, values: dict) -> CheckResult:

@@ -49,6 +49,14 @@ class Stimulus:
         """Minimum number of steps between two spikes of an input neuron."""
         return 1
 
+    @property
+    def spike_limits(self) -> tuple:
+        """Limits of an input neuron in a sample: (refractory steps, maximum number of spikes).
+
+        0 is no limit.
+        """
+        return (0, 0)
+
     def make_input_neurons(self) -> tuple:
         """The neurons that make the spikes in a Nengo network.
 
@@ -219,6 +227,11 @@ class EventFrames(Stimulus):
     def step_seconds(self) -> float:
         """Time in seconds of the recording that one step represents."""
         return self.seconds
+
+    @property
+    def spike_limits(self) -> tuple:
+        """See :attr:`Stimulus.spike_limits`."""
+        return self.refractory, self.max_spikes
 
     def make_input_neurons(self) -> tuple:
         """Neurons that relay events; see :meth:`Stimulus.make_input_neurons`."""

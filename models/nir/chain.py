@@ -367,7 +367,7 @@ class _LinkNodes:
         if loop is not None:
             recurrent = loop["weight"].T * scales
             common["recurrent_kernel"] = recurrent[np.ix_(neurons, neurons)]
-        operation = Dense(outputs, output=self.is_last)
+        operation = Dense(outputs, is_output=self.is_last)
         return Link(operation=operation, kernel=matrix, bias=bias[neurons], **common)
 
 

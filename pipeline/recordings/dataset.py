@@ -349,7 +349,7 @@ def make_inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | No
         steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
         frames = table.make_frames(
-            np.arange(len(table)), step_ms, steps, SpikeLimits.from_stimulus(stimulus)
+            np.arange(len(table)), step_ms, steps, SpikeLimits(*stimulus.spike_limits)
         )
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.image) is not None:

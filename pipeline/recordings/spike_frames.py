@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.network.stimulus import EventFrames, apply_refractory_period, limit_spikes
+from deploy.network.stimulus import apply_refractory_period, limit_spikes
 from pipeline.recordings.cache import make_empty_array, release_pages
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import EVENT_DTYPES, Events
@@ -43,11 +43,6 @@ class SpikeLimits:
     def from_settings(cls, inputs: Input) -> SpikeLimits:
         """The limits of settings."""
         return cls(inputs.refractory_steps, inputs.max_spikes)
-
-    @classmethod
-    def from_stimulus(cls, stimulus: EventFrames) -> SpikeLimits:
-        """The limits of a bundle's stimulus."""
-        return cls(stimulus.refractory, stimulus.max_spikes)
 
 
 NO_LIMITS = SpikeLimits()
