@@ -44,8 +44,8 @@ function describeSilence(page) {
 // Before anything has been written.
 function waiting({ threshold, canDraw, truth, pauseS }) {
   const early = threshold === null ? "" : `when ${percent(threshold)} sure, or `;
-  const end = canDraw && truth === null ? `${pauseS} s after the last stroke` : "at the end";
-  return `The network decides ${early}${end}.`;
+  const end = canDraw && truth === null ? `${pauseS}\u00a0s after the last stroke` : "at the end";
+  return `It decides ${early}${end}.`;
 }
 
 // The answer so far, which is open, also if the network has decided: what follows may make another class of it.
@@ -56,7 +56,7 @@ function describeAnswer(message, page) {
   const number = guess || confidence < FLICKER ? "…" : percent(confidence);
   return {
     ...open(guess ? "" : page.classes[decision], message.exceeds_training ? NOT_SURE : number, ""),
-    statement: soFarText(message, number, page) + (waits ? `; waits ${page.pauseS} s for another stroke` : ""),
+    statement: soFarText(message, number, page) + (waits ? `; waits ${page.pauseS}\u00a0s for another stroke` : ""),
     seconds: message.verdict?.seconds ?? "",
   };
 }
@@ -66,7 +66,7 @@ function soFarText({ decision, exceeds_training, verdict }, number, { nameClass,
   const sure = number === "…" ? "so far" : `${threshold === null ? SOFTMAX : "sure"} so far`;
   if (!verdict) return sure;
   const decided = verdict.label === decision ? "decided" : `decided for ${nameClass(verdict.label)}`;
-  return `${sure}; ${decided} after ${verdict.seconds.toFixed(2)} s`;
+  return `${sure}; ${decided} after ${verdict.seconds.toFixed(2)}\u00a0s`;
 }
 
 // The verdict on a recording that has ended: the early decision, or else the answer at the end.  The confidence is
@@ -95,7 +95,7 @@ function verdictText(message, guess, retracted, page) {
   const { exceeds_training, verdict, confidence } = message;
   const { threshold } = page;
   if (exceeds_training) return SLOW;
-  const time = verdict.early ? `decided after ${verdict.seconds.toFixed(2)} s` : "at the end";
+  const time = verdict.early ? `decided after ${verdict.seconds.toFixed(2)}\u00a0s` : "at the end";
   if (guess || retracted) return time;
   if (isUnsure(message, page)) return `${time} (${percent(confidence)})`;
   if (threshold === null) return `${SOFTMAX} ${time}`;
