@@ -6,6 +6,7 @@ Each result prints as the command of the same name does: ``print(run.ladder())``
 from __future__ import annotations
 
 import html
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -234,7 +235,7 @@ class Predictions(Result):
 
     def __getitem__(self, recording: str | int) -> str:
         """Name of the predicted class of a recording, given by its id or its index."""
-        if isinstance(recording, int):
+        if isinstance(recording, Integral):
             return self.names[recording]
         if recording not in self._name_of:
             raise KeyError(f"no recording {recording!r}; ids are like {self.ids[0]!r}")

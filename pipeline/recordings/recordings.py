@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import operator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -209,6 +210,12 @@ class Recordings:
         return len(self.labels)
 
     def __getitem__(self, index: int) -> Events:
+        if isinstance(index, slice):
+            raise TypeError("recordings have no slices; subset(indices) has some of them")
+        index = operator.index(index)
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"no recording {index}; there are {len(self)}")
+        index %= len(self)
         span = slice(self.offsets[index], self.offsets[index + 1])
         return Events(*(getattr(self.events, name)[span] for name in EVENT_DTYPES))
 

@@ -46,7 +46,8 @@ class Sensor:
     classes: tuple = DIGITS
 
     def __str__(self):
-        return f"{self.rows}x{self.columns} taxels, {len(self.classes)} classes"
+        classes = format_count(len(self.classes), "class", "classes")
+        return f"{self.rows}x{self.columns} taxels, {classes}"
 
     @property
     def is_grid(self) -> bool:

@@ -204,6 +204,8 @@ def _find_class(label, names, is_fixed):
         if not 0 <= label < len(names):
             raise BadRecording(f"has the label {label}, not from 0 to {len(names) - 1}")
         name = names[label]
+    elif is_number and label < 0:
+        raise BadRecording(f"has the label {label}; labels are numbers from 0, or names")
     elif isinstance(label, (str, int, np.integer)):
         name = str(label)
     else:

@@ -58,6 +58,14 @@ def test_recordings_from_arrays_are_those_of_their_file(tmp_path):
         zip(recordings.ids, recordings.hashes, strict=True)
     )
     assert is_one_line(recordings)
+    for index in (5, -1, np.int64(5)):
+        np.testing.assert_array_equal(recordings[index].time_ns, np.rint(1e9 * events[5]["t"]))
+    for wrong, error in ((6, "no recording 6"), (-7, "no recording -7")):
+        with pytest.raises(IndexError, match=error):
+            recordings[wrong]
+    with pytest.raises(TypeError, match="subset"):
+        recordings[:2]
+    assert len(list(recordings)) == 6
     assert "<table>" in recordings._repr_html_()
     assert recordings.source.name == "arrays"
 
@@ -94,6 +102,7 @@ def test_recordings_without_a_spike_at_the_readout_have_no_probabilities():
     (arrays(2)[0], np.array([0.0, 1.0]), "labels.astype(int)"),
     (arrays(2)[0], np.eye(2), "labels.argmax(1)"),
     (arrays(3)[0], "tap", "a list"),
+    (arrays(3)[0], [-1, -1, -1], "numbers from 0"),
 ])  # fmt: skip
 def test_arrays_that_a_beginner_gives_have_a_remedy(events, labels, remedy):
     with pytest.raises(UserError) as caught:
@@ -211,6 +220,7 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     assert predictions.ids == list(recordings.ids)
     assert set(predictions.names) <= set(CLASSES)
     assert predictions[recordings.ids[0]] == predictions[0] == predictions.names[0]
+    assert predictions[np.int64(1)] == predictions.names[1]
     assert max(map(len, map(repr, (run.bundle, run.dataset, run.replay([0])[0])))) < 300
     assert all(0 < probability < 1 for probability in predictions.probabilities)
     assert predictions.classes == recordings.classes == ("left", "right")
