@@ -57,6 +57,22 @@ def hurry_emulator():
         TARGETS["emulator"] = emulator
 
 
+@contextlib.contextmanager
+def without_processes():
+    """In the block, what would be done in several processes is done in this one.
+
+    A process would import everything anew.
+    """
+    from pipeline import jobs
+
+    parallel = jobs.Parallel
+    jobs.Parallel = lambda processes, return_as, **options: parallel(1, return_as=return_as)
+    try:
+        yield
+    finally:
+        jobs.Parallel = parallel
+
+
 def missing(text: str, *facts) -> list:
     """The facts (numbers, names, options) that a text lacks; how it says them may change."""
     return [fact for fact in facts if str(fact) not in text]
