@@ -15,7 +15,7 @@ from pipeline.results.other_recordings import Prediction
 from pipeline.results.status import list_states
 from pipeline.storage.run_folder import RunFolder
 from stmnist import Run, compare_runs
-from tests.command import missing
+from tests.command import missing, without_processes
 
 CLASSES = ["left", "right"]
 
@@ -31,6 +31,12 @@ def arrays(count, seed=0):
         events.append({"x": x, "y": rng.integers(0, 6, 40), "t": t, "p": rng.integers(0, 2, 40)})
         labels.append(label)
     return events, labels
+
+
+@pytest.fixture(scope="module", autouse=True)
+def in_this_process():
+    with without_processes():
+        yield
 
 
 @pytest.fixture(scope="module")
