@@ -44,7 +44,7 @@ def assert_same(found, expected, atol=1e-9):
 
 
 @settings(
-    max_examples=45,
+    max_examples=30,
     deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # a seed's network has no simpler one
     suppress_health_check=[HealthCheck.too_slow],

@@ -100,10 +100,10 @@ ANY = st.tuples(notations().filter(has_neurons), st.integers(0, 2**16))
 
 
 @pytest.mark.slow
-@settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=1, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(networks=st.lists(ANY, min_size=8, max_size=8))
 def test_any_network_in_nengodl_is_the_keras_one(networks):
-    """Sixteen; eight to a simulator, which takes longer to build than to run."""
+    """Eight in one simulator, which takes longer to build than to run."""
     expected, shown, outputs = [], {}, []
     with untraced(), nengo.Network(seed=0) as side_by_side:
         nengo_dl.configure_settings(inference_only=True, planner=noop_planner)
