@@ -25,7 +25,7 @@ os.environ.pop("TTY_COMPATIBLE", None)
 import pytest
 from hypothesis import settings
 
-from tests.command import call
+from tests.command import call, hurry_emulator
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data"
@@ -132,7 +132,8 @@ def tiny_run(made_once):
     """A finished run; tests copy it before they change it."""
 
     def make(folder):
-        made = call("ladder", folder / "run", *TINY)
+        with hurry_emulator():
+            made = call("ladder", folder / "run", *TINY)
         assert made == 0, "the small run of the main job failed"
 
     return made_once("tiny", make) / "run"
