@@ -1,7 +1,6 @@
 """``stmnist adapt``: a new bundle for one person, or nothing at all."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -39,9 +38,13 @@ def strange_hand(each, seed=5):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A run on events, of which only the bundle is there: the one that comes with the package."""
+    """A run on events, of which only the bundle is there: the network of the package.
+
+    Its check has every fourth sample, since each fit computes the answers to all of them.
+    """
     folder = tmp_path_factory.mktemp("adapt") / "run"
-    shutil.copytree(SHIPPED, folder / "bundle")
+    bundle = read_bundle(SHIPPED)
+    write_bundle(folder / "bundle", bundle.spec, bundle.checks[::4])
     return folder
 
 
