@@ -254,12 +254,14 @@ def test_settings_that_apply_to_one_run_only_differ_from_nothing(folder, capsys)
     assert not [name for name in names if name.startswith(("cnn.", "snn.", "events."))]
 
 
-@pytest.mark.parametrize("kind", QUICK)
-def test_the_page_opens_for_an_own_run_and_plays_its_recordings(folder, kind, tmp_path):
-    """As a user starts it: one command, no options but those that keep the test to itself."""
+def test_the_page_opens_for_an_own_run_and_plays_its_recordings(folder, tmp_path):
+    """As a user starts it: one command, no options but those that keep the test to itself.
+
+    tests/pipeline/live/test_command.py opens it for a run on images.
+    """
     pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
     client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
-    command = [sys.executable, "-m", "pipeline", "live", str(folder / kind)]
+    command = [sys.executable, "-m", "pipeline", "live", str(folder / "events")]
     command += ["--port", "0", "--no-browser"]
     with subprocess.Popen(
         command, cwd=tmp_path, env=users_environment(), stdout=subprocess.PIPE, text=True
