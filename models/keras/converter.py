@@ -278,6 +278,11 @@ class LayerConverter:
 
     def use_hidden_activation(self, layer, activation):
         """Use the activation of a hidden layer."""
+        if activation.name == "softmax" and len(self.signal.shape) > 1:
+            layer.refuse(
+                "its softmax is that of the channels at each place of an image; put it after the "
+                "Reshape or Flatten, as the last layer"
+            )
         if activation.name == "softmax":
             layer.refuse("its softmax does not follow the output; remove it")
         if not self.sums:

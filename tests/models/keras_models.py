@@ -502,6 +502,10 @@ def bad(keras):
     models["softmax_within"] = chain(
         end=[layers.Flatten(), layers.Dense(3, "softmax", name="early"), layers.Dense(3)]
     )
+    models["softmax_of_an_image"] = chain(
+        *(conv(), layers.AveragePooling2D(6)),
+        end=[layers.Conv2D(3, 1, activation="softmax", name="early"), layers.Reshape((3,))],
+    )
     models["no_dense_output"] = chain(conv(), end=[])
     image = keras.Input((8, 8, 1))
     models["operation"] = keras.Model(image, layers.Dense(3)(layers.Flatten()(conv()(image / 2.0))))

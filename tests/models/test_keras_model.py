@@ -93,6 +93,7 @@ BAD = {
     "no_hidden_layer": ("layer of neurons",),
     "one_output": ("'out'", "one unit per class", "sigmoid"),
     "softmax_within": ("'early'", "softmax"),
+    "softmax_of_an_image": ("'early'", "softmax", "after the Reshape or Flatten"),
     "no_dense_output": ("Dense",),
     "dense_on_images": ("'each'", "Flatten"),
     "offset_and_padding": ("'c'", "padding='valid'"),
