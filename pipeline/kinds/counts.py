@@ -156,7 +156,7 @@ class _Model:
     fitted_classes : ndarray of int
         Classes of the samples of the fit, each once.
     active : ndarray of bool
-        Features that differ between these samples.
+        True for features that differ between these samples.
     mean, spread : ndarray
         Their means and standard deviations.
     regression : sklearn.linear_model.LogisticRegression or int

@@ -50,7 +50,7 @@ class TaxelActivity:
 
 
 def measure_activity(recordings: Recordings) -> TaxelActivity:
-    """In how many recordings each taxel fires, and through how much of each."""
+    """Measure in how many recordings each taxel fires, and for how much of their time."""
     n_taxels = len(recordings.taxels)
     n = len(recordings)
     events = recordings.events

@@ -22,7 +22,7 @@ def find_cache_folder() -> Path:
 
 
 def make_empty_array(shape: tuple, dtype) -> np.ndarray:
-    """An array to be filled: in memory, or if it is large in a file that ends with it.
+    """An array to be filled: in memory or, if it is large, in a file that is deleted with it.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ def make_empty_array(shape: tuple, dtype) -> np.ndarray:
 
 
 def release_pages(array: np.ndarray):
-    """Give the memory of a mapped array back; what is used again is read again.
+    """Release the memory of a mapped array; values that are used again are read again.
 
-    The system does so by itself only where memory is short.  Other arrays stay as they are.
+    The system does so by itself only if memory is short.  Other arrays stay as they are.
     """
     base: object = array
     while isinstance(base, np.ndarray):

@@ -1,7 +1,8 @@
 """Recordings that are kept in a cache: those of files are imported on first use.
 
 The cache has some files for each set of recordings, which are keyed by the source's content.  The
-columns of its events are files of their own, which are memory-mapped: what is used of them is read.
+columns of its events are files of their own, which are memory-mapped, so that only the parts in use
+are read.
 """
 
 import hashlib

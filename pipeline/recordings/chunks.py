@@ -1,4 +1,5 @@
-"""Recordings as in the published arrays of ST-MNIST, which keep the order of events and not time.
+"""Recordings as in the published arrays of ST-MNIST, which keep the order of events, not their
+times.
 
 These arrays (``ST-MNIST-SPLIT`` in the repository ``GuoFM/DeepTactile``) divide the raw columns of
 a recording into one hundred chunks of equal numbers, and have for each taxel and polarity whether

@@ -107,7 +107,7 @@ class Dataset:
 
     @property
     def provenance(self) -> dict:
-        """Entries of a network's provenance: what other recordings are read with and known by."""
+        """Entries of a network's provenance by which other recordings are read and known."""
         recordings = self.recordings
         split = self.split
         data = self.settings.data
@@ -254,7 +254,7 @@ def split_recordings(recordings: Recordings, settings: Settings) -> Split:
 
 
 class FramesOnDemand:
-    """Frames of events that are made when some of them are taken, for more than fit into memory.
+    """Frames of events that are made when they are read, for more than fit into memory.
 
     Parameters
     ----------

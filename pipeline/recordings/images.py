@@ -94,7 +94,7 @@ def make_tactile_images(recordings: Recordings, image: Image | None = None) -> n
 
 
 def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
-    """As :func:`make_tactile_images`, of some recordings.
+    """As :func:`make_tactile_images`, for some recordings.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class StoredCounts:
     shape : tuple of int
         (slices, rows, columns, 2), of the counts of a sample.
     batches : iterable of ndarray
-        Counts of some samples after the other, in the order of samples.
+        Counts of one sample after the other, in the order of the samples.
     """
 
     def __init__(self, shape: tuple, batches):

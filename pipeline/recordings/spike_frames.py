@@ -121,7 +121,7 @@ class EventTable:
         self.release()
 
     def release(self):
-        """Give back the memory of mapped columns, after all recordings were used."""
+        """Release the memory of mapped columns, after all recordings were used."""
         for name in EVENT_DTYPES:
             release_pages(getattr(self.events, name))
 

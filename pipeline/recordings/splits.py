@@ -48,7 +48,7 @@ class Split:
         return getattr(self, part)
 
     def hold_out(self, seed: int) -> tuple:
-        """Samples to train on, and held-out samples: for validation or else of the training.
+        """Samples to train on, and held-out ones: the validation samples, or some of the others.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ def find_split_problem(recordings: Recordings, requested: str = "auto") -> str |
 
 
 def find_copies(recordings: Recordings, split: Split) -> tuple:
-    """Recordings with the same events, where that says that an accuracy is not what it seems.
+    """Recordings with the same events, where an accuracy is therefore not what it seems.
 
     Returns
     -------

@@ -58,7 +58,7 @@ class EventChoices:
     ----------
     choices : list of Choice
     size : NetworkSize
-        Of the network: the user's, or that for the recordings.
+        Size of the network: the user's, or that for the recordings.
     """
 
     def __init__(self, settings: Settings, recordings: Recordings, train: np.ndarray):

@@ -188,8 +188,8 @@ def make_event_spec(
     """Describe the spiking network trained on events.
 
     The confidence estimator is trained on training samples.  It is left out if no threshold for
-    early decisions could be chosen on held-out samples: trained on few samples, it is confident of
-    every prediction.
+    early decisions could be chosen on held-out samples: an estimator that is trained on few samples
+    is confident of every prediction.
 
     NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
     design, independently of the recording time that it represents.

@@ -34,7 +34,7 @@ SLICES_MAP = 5
 
 @dataclass(frozen=True)
 class SliceDefaults:
-    """What a network on several slices of time has on a kind of sensor.
+    """The defaults of a network on several slices of time, for a kind of sensor.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ def _make_architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, n_chan
 
 
 def _require_rates_fit(settings, architecture):
-    """Refuse more of the user's rates than the chosen network has layers of neurons."""
+    """Refuse rates of the user for more layers of neurons than the chosen network has."""
     rates = settings.snn.max_rates
     layers = len(parse_architecture(architecture).spiking)
     if len(rates) > layers:

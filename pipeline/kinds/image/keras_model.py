@@ -1,4 +1,4 @@
-"""A user's Keras model in the place of the CNN."""
+"""A user's Keras model in place of the CNN."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -110,7 +110,7 @@ def read_model(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
 def _choose_scale(of_pixels, without, dataset):
     """A model that begins with the scaling of pixels, for the images that it was trained on.
 
-    Nothing in a file tells if these ended at 255, or at 1 as the images of this project do, so that
+    Nothing in a file says whether their values went up to 255, or to 1 as in this project, so that
     the training samples decide.
 
     Parameters

@@ -63,7 +63,7 @@ SNN_SETTINGS = {
 
 
 class ImageKind(NetworkKind):
-    """CNN, rate-LIF network, spiking network: the paper's way."""
+    """The paper's way: a CNN, a rate-LIF network, a spiking network."""
 
     name = "image"
     input_kinds = ("image", "slices")

@@ -114,8 +114,8 @@ def list_source(path, labelled: bool = True) -> Listing:
     Raises
     ------
     UserError
-        The source does not exist, is not a zip or a damaged zip, or has no recordings, recordings
-        of several formats or a folder of validation samples.
+        The source does not exist, is a damaged zip or no zip, or has no recordings, recordings of
+        several formats or a folder of validation samples.
     """
     path = Path(path)
     if not labelled and path.suffix.lower() in READERS and path.is_file():

@@ -47,7 +47,7 @@ def list_members(path: Path) -> Members:
     Raises
     ------
     UserError
-        It does not exist, is a recording, or is not a zip or a damaged one.
+        It does not exist, is a recording, or is a damaged zip or no zip.
     """
     if path.is_dir():
         return _list_members_of_folder(path)
@@ -72,7 +72,7 @@ def list_members(path: Path) -> Members:
 
 
 def _list_members_of_folder(path):
-    """As :func:`list_members`, of a folder."""
+    """As :func:`list_members`, for a folder."""
     files = []
     folders = []
     refused = []
@@ -94,7 +94,7 @@ def _list_members_of_folder(path):
 
 
 def _list_members_of_archive(members):
-    """As :func:`list_members`, of the entries of a zip."""
+    """As :func:`list_members`, for the entries of a zip."""
     files = []
     seen = set()
     refused = []

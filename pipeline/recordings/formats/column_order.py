@@ -96,7 +96,7 @@ def settle_orders(recordings) -> tuple:
 def _refuse_two_polarities(tables, order):
     """Refuse recordings whose x may as well be the polarity, as in the order t, p, x, y.
 
-    One recording may be of an edge of a larger sensor.
+    A single recording may be from the edge of a larger sensor.
     """
     alternative = WITH_POLARITY_FIRST.get(order)
     if alternative is None or len(tables) == 1:

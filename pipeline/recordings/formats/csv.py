@@ -1,7 +1,7 @@
 """Text with a line for each event: four columns, with or without their names in the first line.
 
-Columns are separated by commas, semicolons, tabs or blanks; with semicolons, a comma is the mark
-of decimals.  A polarity may be a word or a sign.
+Columns are separated by commas, semicolons, tabs or blanks; with semicolons, a comma is the decimal
+mark.  A polarity may be a word or a sign.
 """
 
 import re

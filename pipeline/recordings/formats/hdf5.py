@@ -152,7 +152,7 @@ def _list_columns(group) -> list:
 
 
 def _read_dataset(dataset) -> np.ndarray:
-    """The values of a data set, after a look at the sizes that it declares."""
+    """The values of a data set, after a check of the sizes that it declares."""
     if dataset.external or dataset.is_virtual:
         raise BadRecording(f"{dataset.name!r} refers to another file")
     fields = dataset.dtype.names

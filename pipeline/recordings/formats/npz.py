@@ -76,12 +76,12 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
 
 
 def _read_single_number(array):
-    """The number in an array of one; None for other arrays, and for None."""
+    """The number in an array with one value; None for other arrays, and for None."""
     return array.item() if array is not None and array.size == 1 else None
 
 
 def _find_side(array):
-    """Rows or columns in an array of one; None if it is not a size."""
+    """Rows or columns in an array with one value; None if it is not a size."""
     number = _read_single_number(array)
     is_size = number is not None and 0 < number <= MAX_PLACE + 1 and number == int(number)
     return int(number) if is_size else None

@@ -226,8 +226,8 @@ def make_recording(events, size: tuple | None = None) -> EventRecording:
         A dict has the arrays by name; a sequence and rows of four numbers have the order x, y,
         t, p.
     size : (int, int), optional
-        Rows and columns of the sensor, of which no event can be outside.  A reader of files that
-        may have such events enters the size afterwards: they are then reported with the source.
+        Rows and columns of the sensor; no event may be outside of them. A reader of files that may
+        have such events sets the size afterwards, so that they are reported with the source.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The interpretation of recordings: what makes one sensor and its events of their files."""
+"""The interpretation of recordings: one sensor, and its events, made from their files."""
 
 from dataclasses import dataclass
 

@@ -27,7 +27,7 @@ def interpret_numbered(path, recordings, parts, lookup, is_strip, options) -> In
     lookup : TaxelMap or None
         Row and column of each taxel.
     is_strip : bool
-        True if the taxels are in one row, also if they could fill a square.
+        True if the taxels are in one row, even if they could fill a square.
     options : ReadingOptions
 
     Raises

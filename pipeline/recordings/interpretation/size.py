@@ -30,7 +30,7 @@ class SensorSize:
 
     @property
     def is_possible(self) -> bool:
-        """True if a sensor may be as large."""
+        """True if a sensor may have this size."""
         return max(self.rows, self.columns) <= MAX_SIDE
 
 

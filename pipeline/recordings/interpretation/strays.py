@@ -43,7 +43,7 @@ class Strays:
 
 
 def find_strays(coordinates, stated_size: int = 0) -> Strays | None:
-    """Few events, or those of few recordings, that make a sensor larger than the others do.
+    """Find few events, or those of few recordings, that alone make a sensor larger.
 
     Parameters
     ----------
