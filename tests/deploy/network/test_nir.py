@@ -57,9 +57,13 @@ def test_readout_is_permuted_to_channels_first():
     np.testing.assert_allclose(weight @ np.moveaxis(values, -1, 0).ravel(), result)
 
 
-def test_output_neurons_and_neurons_without_a_filter():
+def test_output_neurons_are_exported():
     spec = make_image_network(on_chip_output=True)
     assert type(make_nir_graph(spec).nodes["output_neurons"]) is nir.CubaLIF
+
+
+def test_neurons_without_a_filter_are_exported_as_lif():
+    spec = make_image_network()
     layers = (replace(spec.layers[0], synapse=None), *spec.layers[1:])
     assert type(make_nir_graph(replace(spec, layers=layers)).nodes["conv1_neurons"]) is nir.LIF
 

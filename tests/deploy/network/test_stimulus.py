@@ -65,24 +65,39 @@ def test_an_event_arrives_as_a_spike_of_height_one():
     assert fires == {15.0: False, 25.0: True}
 
 
-def test_every_target_answers_and_fast_as_the_emulator_in_every_spike(tmp_path):
+@pytest.fixture(scope="module")
+def bundle_on_events(tmp_path_factory):
     spec = make_event_network()
     frames = draw_frames(spec, 7)
     checks = CheckSet(frames, np.arange(7) % 3, tuple(f"sample{i}" for i in range(7)), 0)
-    bundle = write_bundle(tmp_path / "bundle", spec, checks)
-    assert bundle.checks.inputs.dtype == np.uint8
-    np.testing.assert_array_equal(bundle.checks.inputs, frames)
-    results = {
-        target: run_check(bundle, target, tmp_path / f"{target}.json")
+    return write_bundle(tmp_path_factory.mktemp("events") / "bundle", spec, checks)
+
+
+@pytest.fixture(scope="module")
+def results_on_events(bundle_on_events):
+    """The result of each target."""
+    folder = bundle_on_events.path.parent
+    return {
+        target: run_check(bundle_on_events, target, folder / f"{target}.json")
         for target in ("nengo", "simreal", "emulator", "fast")
     }
-    emulated, fast = results["emulator"]["samples"], results["fast"]["samples"]
-    assert [s["spike_hash"] for s in fast] == [s["spike_hash"] for s in emulated]
-    assert [s["prediction"] for s in fast] == [s["prediction"] for s in emulated]
-    for result in results.values():
-        assert result["spikes"]["input"] == frames.sum()
-        assert result["spikes"]["conv1"] > 0
-        assert set(result["synaptic_operations"]) == {"conv1", "dense1", "output"}
+
+
+def test_a_bundle_has_the_frames_of_events(bundle_on_events):
+    frames = bundle_on_events.checks.inputs
+    assert frames.dtype == np.uint8
+    np.testing.assert_array_equal(frames, draw_frames(bundle_on_events.spec, 7))
+
+
+def test_every_target_counts_the_spikes_of_events(bundle_on_events, results_on_events):
+    for result in results_on_events.values():
+        assert result.spikes["input"] == bundle_on_events.checks.inputs.sum()
+        assert result.spikes["conv1"] > 0
+        assert set(result.synaptic_operations) == {"conv1", "dense1", "output"}
+
+
+def test_fast_has_each_spike_of_the_emulator_on_events(results_on_events):
+    assert results_on_events["fast"].samples == results_on_events["emulator"].samples
 
 
 def test_operations_of_events_by_hand():

@@ -33,14 +33,27 @@ def test_the_largest_of_small_weights_has_large_parts():
     assert fine.tolist() == [-65, -1]
 
 
-@given(st.integers(2, 5), st.integers(0, 2**32), st.floats(1e-6, 1e6))
-def test_parts_are_in_range_and_add_up(synapses, seed, step):
+def split_random_steps(synapses, seed, step):
+    """Random weights in steps, and the steps of each synapse; the fine one is the last."""
     levels = count_weight_levels(synapses)
     rng = np.random.default_rng(seed)
     largest = rng.integers(0, levels + 1)
     steps = rng.integers(-largest, largest + 1, (4, 5))
-    *coarse, fine = np.rint(np.stack(split_weights(steps * step, step, synapses)) / step)
-    np.testing.assert_array_equal(sum(coarse) + fine, steps)
+    return steps, np.rint(np.stack(split_weights(steps * step, step, synapses)) / step)
+
+
+SPLITS = (st.integers(2, 5), st.integers(0, 2**32), st.floats(1e-6, 1e6))
+
+
+@given(*SPLITS)
+def test_the_weights_of_synapses_add_up(synapses, seed, step):
+    steps, by_synapse = split_random_steps(synapses, seed, step)
+    np.testing.assert_array_equal(sum(by_synapse), steps)
+
+
+@given(*SPLITS)
+def test_the_weights_of_synapses_are_in_range(synapses, seed, step):
+    _, (*coarse, fine) = split_random_steps(synapses, seed, step)
     assert np.abs(fine).max() <= 126
     for part in coarse:
         assert (part % 2 == 0).all()

@@ -312,7 +312,9 @@ def test_a_clock_that_jumps_back_goes_on_from_there(stream):
     assert stream.faults == {"jump": 2}
 
 
-def test_faults_are_reported_once_a_second_at_most_and_all_of_them(stream, monkeypatch, caplog):
+@pytest.fixture
+def reports_of_five_seconds(stream, monkeypatch, caplog):
+    """The reports of a fault ten times a second, and of another one at the end."""
     now = [100.0]
     monkeypatch.setattr(faults.time, "monotonic", lambda: now[0])
     with caplog.at_level(logging.WARNING, "stmnist.stream"):
@@ -321,10 +323,17 @@ def test_faults_are_reported_once_a_second_at_most_and_all_of_them(stream, monke
             now[0] += 0.1
         stream.push(0, 0, 0, 7)
         stream.finish()
-    numbers = [int(record.getMessage().split(": ")[2].split()[0]) for record in caplog.records]
-    assert len(caplog.records) <= 7
-    assert sum(numbers[:-1]) + numbers[-1] == stream.faults["outside"] == 50
-    assert "polarity" in caplog.records[-1].getMessage()
+    return [record.getMessage() for record in caplog.records]
+
+
+def test_faults_are_reported_once_a_second_at_most(reports_of_five_seconds):
+    assert len(reports_of_five_seconds) <= 7
+
+
+def test_all_faults_are_reported(stream, reports_of_five_seconds):
+    numbers = [int(report.split(": ")[2].split()[0]) for report in reports_of_five_seconds]
+    assert sum(numbers) == stream.faults["outside"] == 50
+    assert "polarity" in reports_of_five_seconds[-1]
 
 
 @given(
@@ -385,24 +394,32 @@ def test_a_bundle_on_images_is_told_what_a_stream_needs():
         Stream(bundle)
 
 
-def test_a_folder_that_is_no_bundle_and_wrong_values_are_refused(tmp_path, bundle):
+def test_a_folder_that_is_no_bundle_is_refused(tmp_path):
     with pytest.raises(UserError, match="not a bundle"):
         Stream(tmp_path)
     with pytest.raises(UserError, match="not a bundle"):
         Stream(SimpleNamespace(path=tmp_path))  # as a run has
-    with pytest.raises(UserError, match="unit 'h'"):
-        Stream(bundle, unit="h")
-    with pytest.raises(UserError, match="silence"):
-        Stream(bundle, silence=0)
-    Stream(bundle, silence=math.inf)  # a touch ends by its length only
-    for wrong in (
-        {"longest": -1},
-        {"longest": math.nan},
-        {"longest": math.inf},
-        {"stream_length": 0},
-    ):
-        with pytest.raises(UserError, match=next(iter(wrong))):
-            Stream(bundle, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("unit", "h"),
+        ("silence", 0),
+        ("longest", -1),
+        ("longest", math.nan),
+        ("longest", math.inf),
+        ("stream_length", 0),
+        ("stream_length", 1.5),
+    ],
+)
+def test_wrong_values_are_refused(bundle, name, value):
+    with pytest.raises(UserError, match=name):
+        Stream(bundle, **{name: value})
+
+
+def test_a_touch_may_end_by_its_length_only(bundle):
+    assert Stream(bundle, silence=math.inf).silence == math.inf
 
 
 def test_the_present_time_goes_on_from_the_last_event(bundle, network, monkeypatch):
