@@ -111,13 +111,13 @@ def _measure_while_written(bundle, decisions, labels, samples) -> Optional[While
     written = find_last_steps(bundle.checks.inputs) + 1
     rows = np.arange(len(labels))
 
-    def right_at(steps):
+    def find_right_at(steps):
         return decisions[rows, np.minimum(steps, decisions.shape[1]) - 1] == labels
 
     early = None
     if all("stopped_at" in sample for sample in samples):
         stopped = np.array([sample["stopped_at"] for sample in samples])
-        right = right_at(stopped)
+        right = find_right_at(stopped)
         early = EarlyDecisions(
             confidence=spec.presentation.threshold,
             accuracy=float(right.mean()),
@@ -129,6 +129,6 @@ def _measure_while_written(bundle, decisions, labels, samples) -> Optional[While
         step_ms=1000 * spec.stimulus.step_seconds,
         written_steps_mean=float(written.mean()),
         shares=list(SHARES),
-        accuracy=[float(right_at(np.ceil(s * written).astype(int)).mean()) for s in SHARES],
+        accuracy=[float(find_right_at(np.ceil(s * written).astype(int)).mean()) for s in SHARES],
         early=early,
     )

@@ -106,10 +106,10 @@ def _choose_default_block(layer, is_recurrent, after, after_block, chip):
     lengths = [list(_list_lengths(n)) for n in layer.shape]
     blocks = [block for block in itertools.product(*lengths) if np.prod(block) <= limit]
 
-    def cost(block):
+    def compute_cost(block):
         return needs.count_input_axons(block), count_blocks(layer.shape, block), block
 
-    by_cost = sorted(blocks, key=cost)
+    by_cost = sorted(blocks, key=compute_cost)
     for block in by_cost:
         if needs.are_within_limits(block, count_output_axons):
             return block

@@ -330,18 +330,18 @@ def choose_threshold(
     labels = np.asarray(labels)
     outputs = np.asarray(outputs)
 
-    def mean(values):
+    def compute_mean(values):
         return float(np.average(values, weights=weights))
 
-    at_the_end = mean(outputs[:, -1].argmax(-1) == labels)
+    at_the_end = compute_mean(outputs[:, -1].argmax(-1) == labels)
     confidence = compute_confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
     for candidate in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = find_decisions(outputs, confidence, candidate)
         threshold = Threshold(
             float(candidate),
-            mean(classes == labels),
-            mean(compute_share_of_time(steps, last_step)),
+            compute_mean(classes == labels),
+            compute_mean(compute_share_of_time(steps, last_step)),
         )
         if threshold.accuracy >= at_the_end - loss and threshold.share < best.share:
             best = threshold

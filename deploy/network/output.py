@@ -39,7 +39,7 @@ class TargetOutput:
     notes: dict = field(default_factory=dict)
 
     @classmethod
-    def of_stream(cls, spec: NetworkSpec, output, spikes) -> TargetOutput:
+    def from_stream(cls, spec: NetworkSpec, output, spikes) -> TargetOutput:
         """The output for a stream of which every step was recorded.
 
         Parameters

@@ -280,4 +280,4 @@ def run_reference(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[
             area = layer.neurons.amplitude
             spikes[layer.name] = signal
             output = signal * (area / DT)
-        yield TargetOutput.of_stream(spec, output, spikes)
+        yield TargetOutput.from_stream(spec, output, spikes)

@@ -67,7 +67,7 @@ def gather_report_data(folder: RunFolder) -> ReportData:
         )
     for path, title in titles.items():
         if (path / "metrics.json").exists():
-            metrics[title] = _test_accuracy(path / "metrics.json")
+            metrics[title] = _read_test_accuracy(path / "metrics.json")
         if (path / "history.csv").exists():
             histories[title] = read_history(path / "history.csv")
     return ReportData(
@@ -84,7 +84,7 @@ def gather_report_data(folder: RunFolder) -> ReportData:
     )
 
 
-def _test_accuracy(path):
+def _read_test_accuracy(path):
     """The record of a training, with the accuracy that the page shows."""
     metrics = read_json(path, REMEDY)
     with reporting_damage(path, REMEDY):

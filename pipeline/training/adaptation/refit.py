@@ -132,7 +132,7 @@ def fit_readout(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, s
         problem.compute_log_probabilities(problem.weights, kept.responses), kept.labels
     )
 
-    def rate(trial):
+    def rank_trial(trial):
         """Keeping the accuracy for others comes first, then the likelihood for the person."""
         kept_loss = kept_before.mean() - trial.kept_after.mean()
         return kept_loss <= MAX_KEPT_LOSS, trial.likelihood
@@ -141,7 +141,7 @@ def fit_readout(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, s
         _cross_validate(problem, person, kept, folds, pull, rehearsal)
         for pull, rehearsal in itertools.product(PULLS, REHEARSALS)
     ]
-    best = max(trials, key=rate)
+    best = max(trials, key=rank_trial)
     samples, labels = person.select_with_copies(np.arange(len(person)))
     all_kept = np.ones(len(kept), bool)
     refitted = problem.solve(samples, labels, all_kept, best.pull, best.rehearsal)
@@ -264,7 +264,7 @@ class _Regression:
         logits = self._compute_logits(self.weights, responses), self._kept_logits[kept]
         targets = self._classes[labels], self._kept_labels[kept]
 
-        def loss(flat):
+        def compute_loss(flat):
             change = flat.reshape(len(self.weights), -1)
             value = pull / 2 * (flat**2).sum()
             slope = pull * change
@@ -277,7 +277,7 @@ class _Regression:
             return value, slope.ravel()
 
         minimum = minimize(
-            loss, np.zeros(len(self.weights) * units.shape[1]), jac=True, method="L-BFGS-B",
+            compute_loss, np.zeros(len(self.weights) * units.shape[1]), jac=True, method="L-BFGS-B",
             options={"maxiter": 100, "ftol": 1e-7},
         )  # fmt: skip
         change = minimum.x.reshape(len(self.weights), -1) @ units.T / self._scale
