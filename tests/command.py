@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 LEAVE_GARBAGE = "import atexit, gc; gc.disable(); atexit.register(gc.freeze)\n"
 
 # Verbs with the option --jobs, those of a group with its name.
-WITH_JOBS = ("train", "convert", "ladder", "sweep", "adapt")
+WITH_JOBS = ("train", "convert", "ladder", "sweep", "adapt", "predict")
 WITH_JOBS += ("data import", "data simulate", "data stats", "data plot")
 
 
@@ -30,7 +30,8 @@ def call(*arguments, main=None) -> int:
         from pipeline.commands.main import main
 
     words = [str(argument) for argument in arguments]
-    has_jobs = words[:1] and (words[0] in WITH_JOBS or " ".join(words[:2]) in WITH_JOBS)
+    has_jobs = bool(words) and (words[0] in WITH_JOBS or " ".join(words[:2]) in WITH_JOBS)
+    has_jobs |= words[:2] == ["check", "run"] and "--data" in words
     if has_jobs and not {"--jobs", "--scheduler", "--help"} & {*words}:
         words += ["--jobs", "1"]
     try:

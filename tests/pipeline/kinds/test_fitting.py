@@ -122,7 +122,7 @@ def test_events_of_a_sensor_of_one_s_own(own):
     chosen = choose_settings(settings_of(own, input={"kind": "events"}))
     assert chosen.events.architecture.startswith("9x12x2-")
     assert chosen.input.step == 10
-    longest = load_recordings(str(own)).sensor.duration_s
+    longest = load_recordings(str(own), jobs=1).sensor.duration_s
     assert 0.1 * 1000 < chosen.steps * 10 <= 1000 * longest + 10
 
 

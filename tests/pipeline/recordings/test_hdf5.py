@@ -71,7 +71,7 @@ def test_stemnist(tmp_path):
         for person in ("P01", "P02", "P11"):
             with h5py.File(folder / f"{person}_{of_class}_1_spikes.h5", "w") as file:
                 file["spikes"] = spikes()
-    recordings = read_source(tmp_path)
+    recordings = read_source(tmp_path, jobs=1)
     assert (recordings.sensor.rows, recordings.sensor.columns) == (16, 16)
     assert recordings.writers.tolist() == [1, 2, 11] * 2
 
