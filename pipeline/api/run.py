@@ -111,6 +111,11 @@ class Run:
         self.notes = []
         self._printed = set()
         _refuse_misspelt_arguments(settings)
+        if isinstance(data, Recordings) and settings.get("data.time_unit"):
+            raise UserError(
+                f"{ORIGIN}: recordings in memory have their unit; give it as time_unit to "
+                "Recordings.from_arrays or Recordings.read, and leave out data.time_unit"
+            )
         self._jobs = _require_jobs(jobs)
         self._quiet = quiet
         self._input = input
@@ -124,6 +129,12 @@ class Run:
         for name, value in settings.items():
             set_nested(changes, name, value, ORIGIN)
         before = self._folder.resolve_settings(None, {})
+        if (
+            isinstance(data, Recordings)
+            and before.data.time_unit
+            and "data.time_unit" not in settings
+        ):
+            set_nested(changes, "data.time_unit", "", ORIGIN)  # of the former files
         self._user_settings = before.with_values(changes, ORIGIN)
         self._changes = changes
         if isinstance(data, Recordings):

@@ -61,8 +61,8 @@ def find_settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str 
     skip_bad : bool
         True to leave out files that cannot be read, whatever the run's setting is.
     time_unit : str
-        Unit of the times in files of events, instead of the run's setting and of the unit of the
-        training.
+        Unit of the times in files of events; empty: the files' own, or that of the training.  The
+        run's setting is about the recordings of the training, and no other files have it.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def find_settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str 
     data = replace(
         settings.data,
         skip_bad=skip_bad or settings.data.skip_bad,
-        time_unit=time_unit or settings.data.time_unit,
+        time_unit=time_unit,
     )
     return replace(settings, data=data)
 
@@ -158,7 +158,8 @@ def read_others(
     )
     if not others.name:
         return recordings
-    return replace(recordings, source=replace(recordings.source, name=others.name))
+    # The unit of recordings in memory is known, also if it is not that of the training's files.
+    return replace(recordings, source=replace(recordings.source, name=others.name, time_unit=""))
 
 
 @dataclass(frozen=True)

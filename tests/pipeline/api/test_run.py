@@ -249,6 +249,27 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     assert checked.classes == ("left", "right")
 
 
+def test_the_unit_of_the_training_files_is_not_that_of_recordings_in_memory(run, tmp_path):
+    """Nor of files that have a unit; they are stretched otherwise."""
+    copied = tmp_path / "run"
+    shutil.copytree(run.path, copied)
+    settings = (copied / "experiment.toml").read_text()
+    assert 'time_unit = ""' in settings
+    settings = settings.replace('time_unit = ""', 'time_unit = "us"')
+    (copied / "experiment.toml").write_text(settings)
+    events, labels = arrays(8, seed=4)
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    expected = run.predict(recordings).class_probabilities
+    opened = Run(copied, quiet=True)
+    np.testing.assert_array_equal(opened.predict(recordings).class_probabilities, expected)
+    assert not any("unit" in line for line in opened.notes)
+    written = recordings.write(tmp_path / "written.zip")
+    assert sorted(opened.predict(written).names) == sorted(run.predict(recordings).names)
+    with pytest.raises(UserError, match=r"leave out data\.time_unit"):
+        Run(tmp_path / "new", data=recordings, **{"data.time_unit": "us"})
+    assert Run(copied, data=recordings, quiet=True)._user_settings.data.time_unit == ""
+
+
 def test_a_quiet_run_reports_no_progress(run, monkeypatch):
     reported = []
 
