@@ -96,7 +96,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
 
     responses = (r := Responder(old.spec)).compute_responses(r.make_inputs(unseen))
     right = [
-        np.mean((responses @ b.spec.layers[-1].weights.T).argmax(1) == unseen.labels)
+        np.mean((responses @ b.spec.layers[-1].weights_by_class.T).argmax(1) == unseen.labels)
         for b in (old, new)
     ]
     assert right[1] > right[0]
@@ -119,7 +119,8 @@ def test_responses_are_what_the_readout_reads(of, request):
     bundle = read_bundle(request.getfixturevalue(of) / "bundle")
     alone = bundle.spec.with_presentation(stream_length=1)
     readout = bundle.spec.layers[-1]
-    scores = Responder(bundle.spec).compute_responses(bundle.checks.inputs) @ readout.weights.T
+    responses = Responder(bundle.spec).compute_responses(bundle.checks.inputs)
+    scores = responses @ readout.weights_by_class.T
     result = run_target(alone, bundle.checks.inputs, "fast").scores
     np.testing.assert_allclose(scores + readout.bias, result, atol=1e-6)
 
@@ -196,8 +197,16 @@ def test_a_readout_on_the_chip_and_other_classes(tmp_path, run, person, capsys):
     from deploy.network.layer import Neurons
 
     bundle = read_bundle(run / "bundle")
-    readout = replace(bundle.spec.layers[-1], neurons=Neurons(0.001), synapse=0.008)
-    on_chip = replace(bundle.spec, layers=(*bundle.spec.layers[:-1], readout), estimator=None)
+    on_host = bundle.spec.layers[-1]
+    readout = replace(
+        on_host,
+        weights=on_host.weights[: on_host.size],
+        section_starts=(0,),
+        neurons=Neurons(0.001),
+        synapse=0.008,
+    )
+    layers = (*bundle.spec.layers[:-1], readout)
+    on_chip = replace(bundle.spec, layers=layers, estimator=None, rehearsal=None)
     write_bundle(tmp_path / "chip", on_chip, bundle.checks)
     assert call("adapt", tmp_path / "chip", "--data", person) == 2
     assert "deployment.readout" in capsys.readouterr().err
