@@ -46,6 +46,11 @@ class Comparison:
         """Accuracy of A minus that of B."""
         return self.accuracies[0] - self.accuracies[1]
 
+    @property
+    def accuracy_change(self) -> float:
+        """Accuracy of B minus that of A."""
+        return self.accuracies[1] - self.accuracies[0]
+
     def to_json(self) -> dict:
         """The comparison as plain values."""
         return {

@@ -94,7 +94,8 @@ class Target:
         Subclass of :class:`~deploy.targets.options.Options`; its field names are the names of the
         command's options, and no other target has them.
     describe : callable or None
-        Function from the notes of all streams, a list of dict, to additional fields of a result.
+        Function from the notes of all streams, a list of dict, to additional fields of a result.  A
+        field ``versions``, a dict, is added to the versions of packages in the result.
     """
 
     name: str

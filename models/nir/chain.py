@@ -122,8 +122,9 @@ def from_nir(
         is_image = len(chip_shape) == 3
     if merged:
         first = layers[0]
-        axis = 2 if first.kind == "conv" else 0
-        kernel = np.repeat(first.kernel, 2, axis)
+        # The input's channels are the last axis but one of every kernel: of a convolution's windows
+        # (rows, columns, channels, filters), and of a matrix, whose inputs have channels innermost.
+        kernel = np.repeat(first.kernel, 2, axis=-2)
         layers[0] = replace(first, input_shape=(*first.input_shape[:2], 2), kernel=kernel)
     return tuple(layers)
 

@@ -54,8 +54,8 @@ class NetworkKind:
     # The reference stage of the network that becomes the bundle.  Conversion causes the losses from
     # this stage on.
     deployed_stage: ClassVar[str]
-    # The reference stages with which the deployed network is compared, before the deployed stage:
-    # the first of them that the ladder has.
+    # Reference stages with which the deployed network is compared, in order of preference: the
+    # first that the ladder has is taken, or else the deployed stage.
     compared_stages: ClassVar[tuple] = ()
     # Settings that the bundle depends on, in addition to those of presentation and check.
     bundle_settings: ClassVar[tuple] = ()

@@ -144,7 +144,7 @@ def make_rows(results) -> list:
             compared = compare_results(above, result)
             row = replace(
                 row,
-                change=0.0 - compared.accuracy_drop,
+                change=compared.accuracy_change,
                 disagreements=len(compared.disagreements),
                 mcnemar_p=compared.p_value,
             )
@@ -236,7 +236,7 @@ def _compare_with_deployed(other, deployed):
     if other is None or other is deployed:
         return None
     compared = compare_results(other, deployed)
-    return AccuracyChange(0.0 - compared.accuracy_drop, compared.p_value)
+    return AccuracyChange(compared.accuracy_change, compared.p_value)
 
 
 def describe_early_decisions(early: EarlyDecisions, row: LadderRow) -> str:
@@ -279,6 +279,7 @@ def find_losing_stages(ladder: LadderResult) -> list:
         for a, b, p_value in pairs
         if p_value is not None and p_value < SIGNIFICANCE
     ]
+    # A loss of exactly the maximum is not above it, whatever the rounding.
     return [(a, b, points) for a, b, points in drops if points > MAX_LOSS_POINTS + 1e-9]
 
 

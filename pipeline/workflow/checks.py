@@ -180,7 +180,7 @@ def _check_artifact_of(opened, bundle, stage):
     if stage not in stages:
         raise UserError(f"no stage or target {stage!r}; they are {', '.join(stages)}")
     origin = opened.dataset.origin
-    artifact = make_check_artifact(opened.store, stage, opened.kind, origin, bundle.id)
+    artifact = make_check_artifact(opened.run, stage, opened.kind, origin, bundle.id)
     if artifact.record.exists():
         read_result(artifact.record, DELETE_IT)
     return artifact

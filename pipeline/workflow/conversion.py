@@ -38,9 +38,9 @@ def convert(opened: OpenedRun) -> Bundle:
     if opened.kind.is_trained_in_integers:
         for name in find_rescaled_layers(spec.layers):
             say(
-                f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, "
-                "so that integers differ a bit from training: see 'stmnist ladder', or use fewer "
-                "neurons"
+                f"{WARNING}{name}: needs several cores, and NengoLoihi scales the weights of each "
+                "by themselves, so that its integers differ slightly from those of the training; "
+                "compare them with 'stmnist ladder', or use fewer neurons"
             )
     return bundle
 

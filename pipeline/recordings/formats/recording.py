@@ -37,7 +37,7 @@ NO_POLARITY = (
     "does not tell them apart"
 )
 
-# Events of one recording.
+# Maximum number of events of a recording.
 MAX_EVENTS = 5_000_000
 
 # Highest coordinate of any sensor; the input of a network is smaller.
@@ -185,8 +185,8 @@ def make_numbered_recording(
     polarity : ndarray of int8, shape (n,)
         1 where pressure rises (ON), -1 where it falls (OFF).
     n_taxels : int
-        Number of taxels of the sensor, the same in all of its files.  Use
-        :func:`make_recording` without this number, with the taxels as ``x`` and 0 as ``y``.
+        Number of taxels of the sensor, the same in all of its files.  If the files do not state it,
+        call :func:`make_recording` instead, with the taxels as ``x`` and 0 as ``y``.
     columns : ndarray of int, shape (n,), optional
         See :attr:`EventRecording.columns`.
 

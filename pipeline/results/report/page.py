@@ -108,7 +108,7 @@ def render_report(inputs: ReportData, now: datetime.datetime | None = None) -> s
     spec = inputs.bundle.spec
     result = inputs.deployed_result
     provenance = spec.provenance
-    estimate = estimate_energy(spec, result) if result.spikes else None
+    estimate = estimate_energy(spec, result) if result.synaptic_operations else None
     layers = make_layer_table(inputs.bundle, inputs.plan, result, estimate)
     groups = _group_samples(inputs)
     return environment.get_template("report.html.j2").render(
@@ -191,7 +191,7 @@ def make_verdict(results: list, bundle: Bundle) -> dict:
             {
                 "title": find_title(name),
                 "accuracy": by_stage[name].accuracy,
-                "change": -compared.accuracy_drop,
+                "change": compared.accuracy_change,
                 "p": compared.p_value,
                 "significant": compared.p_value < SIGNIFICANCE,
             }
