@@ -150,7 +150,7 @@ def test_a_setting_that_the_program_chooses_is_listed_as_automatic(inputs):
 def test_recall_and_precision_are_those_of_the_answers(inputs):
     pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
     labels, predictions = zip(*pairs, strict=True)
-    results = [make_result(predictions, labels)]
+    results = [make_result(predictions, labels, synaptic_operations={})]
     rows = report.make_class_table(replace(inputs, results=results))
     assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
         (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)
