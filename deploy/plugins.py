@@ -16,6 +16,7 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import sys
+from typing import Dict
 
 from .terminal import WARNING, remark
 
@@ -27,11 +28,16 @@ NOT_IN_BUNDLES = ("models", "pipeline", "stmnist")
 
 _is_loaded = False
 
+# The reason why an entry was left out in this process, by the entry's text for messages.
+_LEFT_OUT: Dict[str, str] = {}
+
 
 def load_plugins(is_worker: bool = False):
     """Load the entries of all installed plugins; later calls in the same process do nothing.
 
-    An entry that raises an error is left out, and one line on standard error says why.
+    An entry that raises an error is left out, and one line on standard error says why.  There is no
+    such line if it needs a package of `NOT_IN_BUNDLES` on a host without it; see
+    :func:`describe_left_out`.
 
     Parameters
     ----------
@@ -48,9 +54,22 @@ def load_plugins(is_worker: bool = False):
             if callable(loaded):
                 loaded()
         except Exception as error:
+            plugin = f"plugin {entry.name} ({entry.value})"
+            problem = f"{type(error).__name__}: {error}"
+            _LEFT_OUT[plugin] = problem
             if not is_worker and not _needs_more_than_bundles(error):
-                problem = f"{type(error).__name__}: {error}"
-                remark(f"{WARNING}plugin {entry.name} ({entry.value}) is left out: {problem}")
+                remark(f"{WARNING}{plugin} is left out: {problem}")
+
+
+def describe_left_out() -> str:
+    """The entries that were left out and why, for a message on something unknown.
+
+    Empty if there is none.
+    """
+    if not _LEFT_OUT:
+        return ""
+    entries = (f"{plugin}: {problem}" for plugin, problem in _LEFT_OUT.items())
+    return f"left out on this host: {', '.join(entries)}"
 
 
 def _list_entries() -> list:

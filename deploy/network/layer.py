@@ -29,6 +29,7 @@ from ..loading import (
     one_of,
     require_valid,
 )
+from ..plugins import describe_left_out
 from .geometry import compute_pooled_shape, sum_windows
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 
@@ -394,13 +395,20 @@ class LayerRecord:
         Raises
         ------
         WrongValue
-            A value is missing, of another type or out of range.
+            A value is missing, of another type or out of range.  If the operation is not known,
+            the message names the plugins that this host has left out.
         """
         if not isinstance(plain, dict):
             raise WrongValue(where, "must be a table of values")
-        return load_dataclass(
-            cls, {name: plain[name] for name in plain if name in LAYER_NAMES}, where
-        )
+        try:
+            return load_dataclass(
+                cls, {name: plain[name] for name in plain if name in LAYER_NAMES}, where
+            )
+        except WrongValue as error:
+            left_out = describe_left_out()
+            if error.name != f"{where}.kind" or not left_out:
+                raise
+            raise WrongValue(error.name, f"{error.problem}; {left_out}") from error
 
 
 # Names in a layer's description that no operation may have for its numbers.

@@ -9,7 +9,7 @@ in a plugin (:mod:`deploy.plugins`), call :func:`register_operation`:
    and the training.
 """
 
-from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
+from deploy.network.ops import DeployedOperation, register_deployed_operation
 from models.ops.base import NotatedLayer, Operation, Synapses
 from models.ops.conv import Convolution
 from models.ops.dense import Dense
@@ -38,6 +38,10 @@ __all__ = [
 def register_operation(operation: type[Operation], deployed: type[DeployedOperation]):
     """Add an operation of another package, and what runs it in a bundle.
 
+    A copied bundle has no :mod:`models`: so that it can be run, an entry of its own registers the
+    deployed operation (:func:`deploy.network.ops.register_deployed_operation`), in a module that
+    imports nothing but :mod:`deploy`.
+
     Raises
     ------
     ValueError
@@ -46,11 +50,11 @@ def register_operation(operation: type[Operation], deployed: type[DeployedOperat
     """
     if operation.kind != deployed.kind:
         raise ValueError(f"operation {operation.kind!r}: what runs it is {deployed.kind!r}")
-    if operation.kind in {*OPERATIONS, *DEPLOYED_OPERATIONS}:
+    if operation.kind in OPERATIONS:
         raise ValueError(f"operation {operation.kind!r}: there is one already")
     _refuse_ambiguous_notation(operation)
+    register_deployed_operation(deployed)
     OPERATIONS[operation.kind] = operation
-    DEPLOYED_OPERATIONS[deployed.kind] = deployed
 
 
 def _refuse_ambiguous_notation(operation):

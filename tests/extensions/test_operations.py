@@ -8,12 +8,13 @@ import pytest
 
 from deploy.conformance.operations import assert_deployed_operation_conforms
 from deploy.errors import UserError
-from deploy.network.ops import DEPLOYED_OPERATIONS
+from deploy.network.ops import DEPLOYED_OPERATIONS, register_deployed_operation
 from models.conformance import assert_operation_conforms
 from models.ops import OPERATIONS, Convolution, Dense, NotatedLayer, register_operation
 from tests.extensions.test_from_outside import (
     DeployedOneToOne,
     OneToOne,
+    delete_at_the_end,
 )
 
 
@@ -161,4 +162,37 @@ def test_a_notation_of_other_layers_is_refused(token):
     assert "own" not in OPERATIONS
 
 
-# A target without Nengo.
+@pytest.fixture
+def unregistered(monkeypatch):
+    """Delete at the end what a test registers."""
+    for table in (OPERATIONS, DEPLOYED_OPERATIONS):
+        delete_at_the_end(monkeypatch, table, "own")
+
+
+def register_both():
+    register_operation(OneToOne, DeployedOneToOne)
+
+
+def register_deployed():
+    register_deployed_operation(DeployedOneToOne)
+
+
+@pytest.mark.parametrize(
+    "registrations",
+    [(register_both, register_deployed), (register_deployed, register_both)],
+    ids=("both first", "deployed first"),
+)
+def test_the_halves_of_an_operation_are_registered_in_any_order(registrations, unregistered):
+    for register in registrations:
+        register()
+    assert OPERATIONS["own"] is OneToOne
+    assert DEPLOYED_OPERATIONS["own"] is DeployedOneToOne
+
+
+def test_another_deployed_operation_of_the_same_kind_is_refused(unregistered):
+    register_deployed()
+    with pytest.raises(ValueError, match="'own': there is one already"):
+        register_deployed_operation(Squared)
+    with pytest.raises(ValueError, match="'own': there is one already"):
+        register_operation(OneToOne, Squared)
+    assert "own" not in OPERATIONS

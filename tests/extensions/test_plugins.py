@@ -1,14 +1,19 @@
-"""A package of another author adds a target and a format, by entry points alone."""
+"""A package of another author adds a target, a format and an operation, by entry points alone."""
 
+import importlib
 import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from deploy.check.bundle import make_zipapp
+from deploy.network.ops import DEPLOYED_OPERATIONS
 from deploy.targets.registry import TARGETS
+from models.conformance import assert_operation_conforms
+from models.ops import OPERATIONS
 from tests.command import ROOT, environment, missing
 from tests.deploy.networks import bundle_at
 from tests.extensions.test_from_outside import delete_at_the_end
@@ -56,6 +61,38 @@ ENTRIES = """
 [stmnist.plugins]
 constant-target = toy_target
 toy-format = toy_format:register
+"""
+ENTRY_OF_OPERATION = """
+[stmnist.plugins]
+scaling = my_additions.operation
+"""
+ENTRIES_OF_OPERATION = f"""{ENTRY_OF_OPERATION}
+scaling-in-bundles = my_additions.deployed_operation
+"""
+MAKE_BUNDLE = """
+import sys
+from pathlib import Path
+
+from deploy.plugins import load_plugins
+
+load_plugins()
+
+from pipeline.kinds.architectures import make_untrained_network
+from pipeline.settings import Settings
+from tests.deploy.networks import bundle_at
+
+spec = make_untrained_network("5x5-scale-10o", False, Settings().deployment)
+bundle_at(Path(sys.argv[1]), spec)
+"""
+# Runs a program as on a host that has only `deploy`, although the tests' Python has the rest.
+RUN_IN_BUNDLE = """
+import runpy
+import sys
+
+for name in ("models", "pipeline", "stmnist"):
+    sys.modules[name] = None
+del sys.argv[0]
+runpy.run_path(sys.argv[0], run_name="__main__")
 """
 BROKEN = """
 [stmnist.plugins]
@@ -155,9 +192,64 @@ def test_the_list_of_commands_loads_no_plugin(site):
     assert run(site, "-m", "pipeline", "--help").stderr == ""
 
 
-def test_the_page_on_plugins(monkeypatch):
+def list_page_blocks():
+    """The blocks of Python of the page on plugins: the file each is in, or None, and its code."""
+    for language, block in blocks(read(ROOT / "docs" / "plugins.md")):
+        if language == "python":
+            first = block.lstrip().splitlines()[0]
+            is_file = first.startswith("# my_additions/")
+            yield Path(first[2:]) if is_file else None, block
+
+
+def write_page_modules(site):
+    """Write the modules of the page on plugins."""
+    (site / "my_additions").mkdir(parents=True)
+    for path, block in list_page_blocks():
+        if path is not None:
+            (site / path).write_text(block)
+
+
+def check_with_scaling(tmp_path, entries):
+    """Check a bundle with the operation of the page where only ``deploy`` is installed."""
+    site = tmp_path / "site"
+    write_page_modules(site)
+    install(site, "additions", entries)
+    bundle = tmp_path / "bundle"
+    made = run(site, "-c", MAKE_BUNDLE, bundle)
+    assert made.returncode == 0, made.stderr
+    check = (bundle / "deploy.pyz", "check", bundle, "--target", "fast")
+    return run(site, "-c", RUN_IN_BUNDLE, *check, has_pipeline=False)
+
+
+def test_a_copied_bundle_runs_the_operation(tmp_path):
+    done = check_with_scaling(tmp_path, ENTRIES_OF_OPERATION)
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
+    result = json.loads((tmp_path / "bundle" / "checks" / "fast.json").read_text())
+    assert "scaling1" in result["spikes"]
+
+
+def test_a_copied_bundle_names_the_plugin_that_it_left_out(tmp_path):
+    done = check_with_scaling(tmp_path, ENTRY_OF_OPERATION)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    wanted = ("'layers[0].kind'", "not 'scaling'", "plugin scaling (my_additions.operation)")
+    assert missing(line, *wanted, "ModuleNotFoundError") == []
+
+
+def test_the_page_on_plugins(monkeypatch, tmp_path):
     """Its blocks of Python, one after the other."""
     delete_at_the_end(monkeypatch, TARGETS, "noisy")
-    page = blocks(read(ROOT / "docs" / "plugins.md"))
-    code = "\n".join(block for language, block in page if language == "python")
-    exec(compile(code, "plugins.md", "exec"), {"__name__": "page"})
+    for table in (OPERATIONS, DEPLOYED_OPERATIONS):
+        delete_at_the_end(monkeypatch, table, "scaling")
+    write_page_modules(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    page = {"__name__": "page"}
+    for path, block in list_page_blocks():
+        if path is None:
+            exec(compile(block, "plugins.md", "exec"), page)
+        else:
+            importlib.import_module(".".join(path.with_suffix("").parts))
+    assert_operation_conforms(OPERATIONS["scaling"](), (4, 4, 2))
+    for name in [name for name in sys.modules if name.partition(".")[0] == "my_additions"]:
+        del sys.modules[name]
