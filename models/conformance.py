@@ -1,4 +1,7 @@
-"""What every operation must pass; the test of a new one calls :func:`assert_operation_conforms`."""
+"""The check that every operation must pass; the test of a new one calls it.
+
+It is :func:`assert_operation_conforms`.
+"""
 
 import math
 

@@ -116,7 +116,7 @@ def _list_labels(result) -> list:
 
 
 def _list_right(result) -> list:
-    """Whether the prediction of each sample is right."""
+    """For each sample, True if its prediction is right."""
     return [sample.is_right for sample in result.samples]
 
 

@@ -82,6 +82,11 @@ class EarlyDecisions:
     share_of_writing_mean: float = limited_field(SHARE)
     before_the_end: float = limited_field(SHARE)
 
+    @property
+    def are_possible(self) -> bool:
+        """False if no confidence is high enough, so that each decision is made at the end."""
+        return self.confidence < 1
+
 
 @dataclass(frozen=True)
 class WhileWritten:
@@ -259,7 +264,7 @@ class CheckResult:
     def early_decisions(self) -> Optional[EarlyDecisions]:
         """The network's decisions before the end of a recording; None if it makes none."""
         early = self.while_written and self.while_written.early
-        return early if early and early.confidence < 1 else None
+        return early if early and early.are_possible else None
 
     def to_dict(self) -> dict:
         """The result as plain values, as in its file."""

@@ -77,7 +77,7 @@ class NetworkProvenance:
 
     @property
     def warnings(self) -> list:
-        """What is wrong with the recordings."""
+        """Warnings about the recordings."""
         return self.entries.get("warnings", [])
 
     @property

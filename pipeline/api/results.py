@@ -149,8 +149,9 @@ class CheckResult(Result):
         return len(self.ids)
 
     def __str__(self):
-        is_on_others = self._result.data is not None
-        return (format_result_on_others if is_on_others else format_result)(self._result)
+        if self._result.data is not None:
+            return format_result_on_others(self._result)
+        return format_result(self._result)
 
     @property
     def confusion(self) -> np.ndarray:

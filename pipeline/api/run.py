@@ -111,11 +111,9 @@ class Run:
         self.notes = []
         self._printed = set()
         _refuse_misspelt_arguments(settings)
-        if isinstance(data, Recordings) and settings.get("data.time_unit"):
-            raise UserError(
-                f"{ORIGIN}: recordings in memory have their unit; give it as time_unit to "
-                "Recordings.from_arrays or Recordings.read, and leave out data.time_unit"
-            )
+        is_in_memory = isinstance(data, Recordings)
+        if is_in_memory:
+            _refuse_unit_of_files(settings)
         self._jobs = _require_jobs(jobs)
         self._quiet = quiet
         self._input = input
@@ -129,15 +127,11 @@ class Run:
         for name, value in settings.items():
             set_nested(changes, name, value, ORIGIN)
         before = self._folder.resolve_settings(None, {})
-        if (
-            isinstance(data, Recordings)
-            and before.data.time_unit
-            and "data.time_unit" not in settings
-        ):
-            set_nested(changes, "data.time_unit", "", ORIGIN)  # of the former files
+        if is_in_memory and before.data.time_unit:
+            set_nested(changes, "data.time_unit", "", ORIGIN)  # the run's unit was of other files
         self._user_settings = before.with_values(changes, ORIGIN)
         self._changes = changes
-        if isinstance(data, Recordings):
+        if is_in_memory:
             data.write(self._name_source(data))
         if line := self._suggest_run():
             self._say(line)
@@ -455,6 +449,15 @@ def _refuse_misspelt_arguments(settings):
         suggestion = "" if name in known else suggest_name(name, ARGUMENTS)
         if suggestion:
             raise UserError(f"{ORIGIN}: {name!r} is unknown{suggestion}")
+
+
+def _refuse_unit_of_files(settings):
+    """Refuse a unit for recordings in memory, which have theirs."""
+    if settings.get("data.time_unit"):
+        raise UserError(
+            f"{ORIGIN}: recordings in memory have their unit; give it as time_unit to "
+            "Recordings.from_arrays or Recordings.read, and leave out data.time_unit"
+        )
 
 
 def _require_samples(samples, data):

@@ -303,7 +303,7 @@ def _map_labels(result) -> dict:
 
 
 def _map_right(result) -> dict:
-    """Whether the prediction of each sample is right."""
+    """By the id of each sample, True if its prediction is right."""
     return {sample.id: sample.is_right for sample in result.samples}
 
 

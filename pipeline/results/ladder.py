@@ -12,6 +12,7 @@ from deploy.check.comparison import compare_results
 from deploy.check.results import CheckResult, EarlyDecisions, read_result
 from deploy.check.text import describe_absent_classes
 from deploy.files import reporting_damage
+from deploy.loading import dump_dataclass
 from deploy.tables import SIGNIFICANCE, align_rows, format_p, mark_significance
 from deploy.targets.registry import TARGETS, list_ladder_targets
 from deploy.terminal import WARNING
@@ -103,15 +104,14 @@ def require_complete(ladder: LadderResult):
 
 def find_ladder_artifact(run: RunFolder, results) -> Artifact:
     """The loss ladder as an artifact, which is made from check results."""
-    contents = {
-        f"checks/{result.target}": _hash_of([result.bundle_id, result["samples"]])
-        for result in results
-    }
+    contents = {f"checks/{result.target}": _hash_samples(result) for result in results}
     return Artifact("ladder", run.ladder, Origin(contents=contents))
 
 
-def _hash_of(value):
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+def _hash_samples(result):
+    samples = [dump_dataclass(sample) for sample in result.samples]
+    text = json.dumps([result.bundle_id, samples], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def make_rows(results) -> list:
@@ -138,7 +138,7 @@ def make_rows(results) -> list:
         row = LadderRow(
             stage=result.target,
             accuracy=result.accuracy,
-            accuracy_ci95=(*result.accuracy_ci95,),
+            accuracy_ci95=tuple(result.accuracy_ci95),
         )
         if above is not None and above.target != "counts":
             compared = compare_results(above, result)
@@ -248,7 +248,7 @@ def describe_early_decisions(early: EarlyDecisions, row: LadderRow) -> str:
     row : LadderRow
         The row of the result that they are from.
     """
-    if early.confidence >= 1:
+    if not early.are_possible:
         return f"{row.stage}: decides at the end of each recording, not earlier"
     return (
         f"{row.stage}: early decision at a confidence of {early.confidence:.4f}, after "

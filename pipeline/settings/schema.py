@@ -241,7 +241,7 @@ def is_automatic(name: str, value) -> bool:
 
 
 def _suggest_setting(error):
-    """What to give instead of an unknown setting; empty for other errors."""
+    """The words that help with an unknown setting; empty for other errors."""
     if error.problem != "is unknown":
         return ""
     return suggest_name(error.name, Settings().flatten()) or "; 'stmnist settings' lists all"

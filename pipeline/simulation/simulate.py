@@ -184,7 +184,7 @@ def make_source(seed=0, samples_per_digit=None, setup: SimulationSetup | None = 
 
 
 def _describe_peculiarities(parameters, has_traces) -> list:
-    """What differs from the default population, in a few words each."""
+    """The differences from the default recordings, a few words for each."""
     population = parameters.population
     texts = ["recorded handwriting"] if has_traces else []
     if population.chunked_share:
@@ -198,7 +198,7 @@ def _describe_peculiarities(parameters, has_traces) -> list:
 
 
 def _describe_writers(population, writers) -> list:
-    """How the simulated people differ from the default ones, in a few words each."""
+    """The differences of the simulated people from the default ones, a few words for each."""
     texts = []
     if population.people != DEFAULT_POPULATION.people:
         texts.append(f"{population.people} people")

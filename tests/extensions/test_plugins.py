@@ -11,6 +11,7 @@ import pytest
 
 from deploy.check.bundle import make_zipapp
 from deploy.network.ops import DEPLOYED_OPERATIONS
+from deploy.plugins import NOT_IN_BUNDLES
 from deploy.targets.registry import TARGETS
 from models.conformance import assert_operation_conforms
 from models.ops import OPERATIONS
@@ -84,16 +85,6 @@ from tests.deploy.networks import bundle_at
 spec = make_untrained_network("5x5-scale-10o", False, Settings().deployment)
 bundle_at(Path(sys.argv[1]), spec)
 """
-# Runs a program as on a host that has only `deploy`, although the tests' Python has the rest.
-RUN_IN_BUNDLE = """
-import runpy
-import sys
-
-for name in ("models", "pipeline", "stmnist"):
-    sys.modules[name] = None
-del sys.argv[0]
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
 BROKEN = """
 [stmnist.plugins]
 broken = no_such_module
@@ -118,8 +109,22 @@ def site(tmp_path):
     return site
 
 
+# Runs a program as on a host that has only `deploy`, although the tests' Python has the rest.
+RUN_IN_BUNDLE = f"""
+import runpy
+import sys
+
+for name in {NOT_IN_BUNDLES}:
+    sys.modules[name] = None
+del sys.argv[0]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
 def run(site, *arguments, has_pipeline=True):
     """A Python process with the folder on its path; with the packages of this repository or not."""
+    if not has_pipeline:
+        arguments = ("-c", RUN_IN_BUNDLE, *arguments)
     path = [str(site), str(ROOT / "fastloihi" / "src"), *([str(ROOT)] if has_pipeline else [])]
     return subprocess.run(
         [sys.executable, *map(str, arguments)],
@@ -218,7 +223,7 @@ def check_with_scaling(tmp_path, entries):
     made = run(site, "-c", MAKE_BUNDLE, bundle)
     assert made.returncode == 0, made.stderr
     check = (bundle / "deploy.pyz", "check", bundle, "--target", "fast")
-    return run(site, "-c", RUN_IN_BUNDLE, *check, has_pipeline=False)
+    return run(site, *check, has_pipeline=False)
 
 
 def test_a_copied_bundle_runs_the_operation(tmp_path):

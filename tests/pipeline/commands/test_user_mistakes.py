@@ -309,7 +309,7 @@ def test_ctrl_c_in_training(tmp_path):
 
 
 def test_a_training_that_was_killed_goes_on_and_ends_alike(tmp_path, monkeypatch):
-    """What lies in the folder after an epoch is what a killed process leaves."""
+    """A killed process leaves the folder as it is after an epoch."""
     whole, killed = (RunFolder(tmp_path / name) for name in ("whole", "killed"))
     options = (*TINY, "--set", "cnn.epochs=3")
 
